@@ -1,0 +1,89 @@
+"""The errors of this project: one tree, and each says what was found, where, and what is accepted.
+
+::
+
+    GVRError
+    ├── InputError            something a user gave; the command line ends with exit code 2
+    │   ├── SplatFormatError      a .ply or .splat file
+    │   ├── CameraFormatError     a camera file or a COLMAP model
+    │   ├── DatasetError          a data set's folder, masks, labels or queries
+    │   ├── ConfigError           a suite file, or an unknown name of a method, scene, ...
+    │   └── ModelError            a model's weights or its name
+    ├── StoreError            the artifact store: a damaged object, a record that is not ours
+    └── GroundingError        a method could not work on a valid scene
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class GVRError(Exception):
+    """Base of all errors raised on purpose by this project."""
+
+
+class InputError(GVRError):
+    """Something a user gave cannot be used.
+
+    Args:
+        message: What was found.
+        path: The file or folder it was found in.
+        place: Where in the file: a line, a column, a key, a vertex.
+        accepted: What would have been accepted instead.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        path: Path | str | None = None,
+        place: str | None = None,
+        accepted: str | None = None,
+    ) -> None:
+        self.message = message
+        self.path = None if path is None else str(path)
+        self.place = place
+        self.accepted = accepted
+        where = ", ".join(part for part in (self.path, place) if part)
+        text = f"{where}: {message}" if where else message
+        super().__init__(f"{text} (accepted: {accepted})" if accepted else text)
+
+
+class SplatFormatError(InputError):
+    """A .ply or .splat file that does not hold a usable set of Gaussians."""
+
+
+class CameraFormatError(InputError):
+    """A camera file or COLMAP model that cannot be used."""
+
+
+class DatasetError(InputError):
+    """A data set whose folder, pictures, masks, labels or queries are not as its layout says."""
+
+
+class ConfigError(InputError):
+    """A suite file or command line with an unknown or impossible setting."""
+
+
+class ModelError(InputError):
+    """A model that is not known here, or whose weights are not what they should be."""
+
+
+class StoreError(GVRError):
+    """The artifact store holds something damaged, or something that is not ours."""
+
+
+class GroundingError(GVRError):
+    """A method cannot work on this scene, although the scene itself is valid."""
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:
+    """The error for a name that is not registered, listing those that are.
+
+    Args:
+        kind: What the name should name, e.g. ``"method"``.
+        name: The name that was given.
+        known: The names that exist.
+    """
+    return ConfigError(f"unknown {kind} {name!r}", accepted=", ".join(sorted(known)) or "none")

@@ -1,0 +1,1 @@
+"""Models behind three protocols: segmenter, encoder, text segmenter; one file per backend."""

@@ -1,0 +1,5 @@
+"""Rendering of Gaussians: one protocol, a CPU backend (numba), and its slow torch oracle."""
+
+from gvr_core.rendering.base import Renderer, Rendering, get_renderer
+
+__all__ = ["Renderer", "Rendering", "get_renderer"]
