@@ -1,1 +1,1 @@
-"""TBD."""
+"""Result records, and what is made from them: MLflow runs, tables, pictures."""

@@ -1,0 +1,131 @@
+"""The result record: what a benchmark run found. Everything people look at is made from it.
+
+A result is a folder that is written once, under a temporary name, and never overwritten::
+
+    <run id>/
+        result.json       a Result: configuration, environment, one SceneResult per (scene, method)
+        rows.jsonl        one Row a line: every (scene, method, query, view, protocol)
+        rows.parquet      the same rows as a table
+        pictures/         the target dyed red in a test view, one per query
+
+The order and meaning of the fields do not change without a new ``schema_version``.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+SCHEMA_VERSION = 1
+"""Version of the records in this file."""
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Row(_Record):
+    """The metrics of one query under one protocol, in one view or over the Gaussians."""
+
+    dataset: str
+    scene: str
+    method: str
+    query: str
+    """The query's id."""
+    text: str
+    """The words given to the method."""
+    target: str | None
+    """The object meant."""
+    absent: bool
+    """True where the object is known not to be in the scene."""
+    protocol: str
+    """Name and version of the protocol, e.g. ``flags_3d/1``. Rows of two protocols never mix."""
+    view: str | None
+    """The test view, or None where the protocol scores the Gaussians themselves."""
+    metrics: dict[str, float]
+    """Metric name -> value. What is undefined is left out, never NaN or infinity."""
+
+
+class StageTiming(_Record):
+    """What one stage of one scene cost when it was computed."""
+
+    stage: str
+    seconds: float
+    """Wall time of the computation; of the original one where the stage was cached."""
+    cpu_seconds: float
+    peak_bytes: int
+    """Peak resident memory of the process during the stage."""
+    state: Literal["computed", "cached"]
+    """Whether this run computed it."""
+    key: str
+    """The stage's cache key."""
+
+
+class QueryOutcome(_Record):
+    """What a method answered to one query."""
+
+    query: str
+    found: bool
+    location: tuple[float, float, float] | None
+    """L_3D, world frame."""
+    n_flagged: int
+    """Number of target Gaussians."""
+    confidence: float
+    seconds: dict[str, float]
+    """Stage -> wall seconds of this query alone."""
+    picture: str | None = None
+    """Path of its picture, relative to the result's folder."""
+
+
+class SceneResult(_Record):
+    """One method on one scene."""
+
+    dataset: str
+    scene: str
+    method: str
+    status: Literal["completed", "failed"]
+    error: str | None = None
+    n_gaussians: int = 0
+    n_views: int = 0
+    n_patches: int = 0
+    picture_size: tuple[int, int] = (0, 0)
+    """Width and height of the knowledge views, pixels."""
+    models: dict[str, str] = Field(default_factory=dict)
+    """Role -> model name with version and settings."""
+    digests: dict[str, str] = Field(default_factory=dict)
+    """Part of the data set -> sha256."""
+    prepare_seconds: float = 0.0
+    """Preparation time of the paper's second table: the stages before any query."""
+    query_seconds: float = 0.0
+    """Query time of the paper's second table: mean over queries of localising and segmenting."""
+    stages: tuple[StageTiming, ...] = ()
+    queries: tuple[QueryOutcome, ...] = ()
+
+
+class Environment(_Record):
+    """Where and with what a result was made."""
+
+    python: str
+    platform: str
+    processor: str
+    cpu_count: int
+    gpu: str | None
+    git_revision: str | None
+    git_dirty: bool | None
+    packages: dict[str, str]
+
+
+class Result(_Record):
+    """A benchmark run."""
+
+    schema_version: int = SCHEMA_VERSION
+    run_id: str
+    suite: str
+    created: str
+    """UTC, ISO 8601."""
+    wall_seconds: float
+    config: dict[str, Any]
+    """The resolved configuration, complete: every default is written out."""
+    environment: Environment
+    scenes: tuple[SceneResult, ...]
