@@ -21,10 +21,15 @@ FEATURE_DIM_C = 512
 TOP_K_VIEWS = None
 """*Reading*: every view votes. An integer keeps only the views whose best patch scores highest."""
 
-VOTE_RADIUS_FRACTION = 0.05
-"""*Reading*: two views agree when their points lie within this fraction of the scene's extent
-(the diagonal of the box around the camera centres and the back-projected points' inner 90 %)."""
+VOTE_RADIUS_FRACTION = 0.1
+"""*Reading*: two views agree when their points lie within this fraction of the distance from
+which the views look (the median over views). The paper compares Euclidean distances and names
+no scale; a fraction of the viewing distance does not depend on the scene's units."""
+
+BEV_DISTANCE_FACTOR = 1.0
+"""*Reading*: height of the bird's-eye camera above L_3D, in mean distances from the knowledge
+cameras to L_3D: the object is then about as large in the bird's-eye view as in the views."""
 
 WIDTH_PERCENTILE = 90.0
-"""*Reading*: w_tar is twice this percentile of the coarse Gaussians' distances, in the
-bird's-eye plane, from their median; the maximum would follow a single floater."""
+"""*Reading*: w_tar is twice this percentile of the coarse Gaussians' horizontal distances from
+their median; the maximum would follow a single floater."""
