@@ -1,0 +1,41 @@
+# Two commands need nothing but Python 3.11+, pip and make: `make bench` and `make test`.
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/.ready
+
+.PHONY: help bench test test-slow lint format perf clean
+
+help: ## List the commands
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+bench: $(READY) ## Run the main job: the paper's method and its control on the gallery
+	$(BIN)/gvr run bench
+
+test: $(READY) ## Run the tests, but for the slow ones
+	$(BIN)/python -m pytest -m "not slow"
+
+test-slow: $(READY) ## Run the slow tests
+	$(BIN)/python -m pytest -m slow
+
+lint: $(READY) ## Check style and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(READY) ## Put style right
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+perf: $(READY) ## Print the renderer's speed
+	$(BIN)/python benchmarks/render_speed.py
+
+clean: ## Remove the environment; results, data and cache under .gvr stay
+	rm -rf .venv
+
+# Made anew when the dependencies change; pip's cache makes a second time cheap.
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "GVR-Bench needs Python 3.11 or newer: make PYTHON=python3.11")'
+	@echo "Installing into .venv (5 GB; about 3 minutes where pip has to download)"
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]' -c constraints.txt
+	@touch $@
