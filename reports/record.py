@@ -7,6 +7,7 @@ A result is a folder that is written once, under a temporary name, and never ove
         rows.jsonl        one Row a line: every (scene, method, query, view, protocol)
         rows.parquet      the same rows as a table
         pictures/         the target dyed red in a test view, one per query
+        SHA256SUMS        sha256 of each file above
 
 The order and meaning of the fields do not change without a new ``schema_version``.
 """
@@ -22,7 +23,9 @@ SCHEMA_VERSION = 1
 
 
 class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    # A NaN is an error where the record is made, while its cause is still known; in a file it
+    # would silently become a null.
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Row(_Record):
@@ -120,7 +123,8 @@ class Result(_Record):
     """A benchmark run."""
 
     schema_version: int = SCHEMA_VERSION
-    run_id: str
+    run_id: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,127}$")
+    """Unique; safe as a folder's name and in a search of MLflow."""
     suite: str
     created: str
     """UTC, ISO 8601."""

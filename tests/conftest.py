@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tasks.prefect_runtime import PrefectRuntime, prefect_runtime
+from tasks.store import Store
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -17,3 +21,11 @@ def shared() -> Path:
     if not (folder / "data" / "splats").is_dir():
         pytest.skip(f"no shared data at {folder} (set GVR_SHARED)")
     return folder
+
+
+@pytest.fixture(scope="session")
+def prefect_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PrefectRuntime]:
+    """One Prefect server on 127.0.0.1 for all tests, with a home of its own."""
+    folder = tmp_path_factory.mktemp("prefect")
+    with prefect_runtime(Store(folder / "store"), home=folder / "home", isolated=True) as runtime:
+        yield runtime

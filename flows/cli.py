@@ -1,0 +1,189 @@
+"""``gvr``: the command line."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from flows import commands
+from flows.places import results_root, store_root
+from flows.suite import DEFAULT_SUITE
+from gvr_core.errors import GVRError, InputError
+
+EXIT_FAILED = 1
+EXIT_BAD_INPUT = 2
+
+app = typer.Typer(
+    name="gvr",
+    help="Batch evaluation of text-driven visual grounding in 3D Gaussian Splatting scenes.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+cache_app = typer.Typer(help="Look after the artifact store.", no_args_is_help=True)
+app.add_typer(cache_app, name="cache")
+
+StoreOption = Annotated[
+    Path | None, typer.Option("--store", help="Artifact store; GVR_STORE, else .gvr/store.")
+]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars.")]
+
+
+@app.command()
+def run(
+    suite: Annotated[
+        str, typer.Argument(help="A bundled suite (bench, composite, ablation) or a .toml file.")
+    ] = DEFAULT_SUITE,
+    method: Annotated[
+        list[str] | None, typer.Option(help="Only this method; may be given more than once.")
+    ] = None,
+    dataset: Annotated[
+        list[str] | None, typer.Option(help="Only this data set; may be given more than once.")
+    ] = None,
+    scene: Annotated[
+        list[str] | None, typer.Option(help="Only this scene; may be given more than once.")
+    ] = None,
+    limit: Annotated[
+        int | None, typer.Option(help="Only the first so many queries of each scene.")
+    ] = None,
+    store: StoreOption = None,
+    results: Annotated[
+        Path | None, typer.Option(help="Folder of the results; GVR_RESULTS, else .gvr/results.")
+    ] = None,
+    tracking_uri: Annotated[
+        str | None,
+        typer.Option(help="MLflow to fill; MLFLOW_TRACKING_URI, else the project's own store."),
+    ] = None,
+    no_mlflow: Annotated[bool, typer.Option("--no-mlflow", help="Leave MLflow out.")] = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Run a suite: every method on every scene, with cached stages, into a result and MLflow."""
+    code = commands.run(
+        suite,
+        method or [],
+        dataset or [],
+        scene or [],
+        limit,
+        store or store_root(),
+        results or results_root(),
+        None if no_mlflow else commands.tracking_uri(tracking_uri),
+        progress=not quiet,
+    )
+    raise typer.Exit(code)
+
+
+@app.command()
+def ground(
+    splat: Annotated[Path, typer.Argument(help="The scene: a .ply or .splat file.")],
+    cameras: Annotated[Path, typer.Option(help="A cameras.json, or a folder with a COLMAP model.")],
+    query: Annotated[list[str], typer.Option(help="What to find; may be given more than once.")],
+    method: Annotated[str, typer.Option(help="The grounding method.")] = "gvr-paper",
+    out: Annotated[
+        Path, typer.Option(help="Folder for flags (.npy), target (.ply) and picture (.png).")
+    ] = Path("grounded"),
+    max_views: Annotated[
+        int | None, typer.Option(help="Use only so many cameras, evenly spaced.")
+    ] = None,
+    store: StoreOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Ground text in one scene of your own: which Gaussians are the thing you name?"""
+    commands.ground(
+        splat,
+        cameras,
+        query,
+        method,
+        out,
+        max_views,
+        store or store_root(),
+        progress=not quiet,
+    )
+
+
+@app.command()
+def show(
+    result: Annotated[
+        str, typer.Argument(help="A result's folder or its id; the newest where left out.")
+    ] = "",
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
+) -> None:
+    """Print the tables of a result again."""
+    commands.show(result, results_root(), markdown)
+
+
+@app.command()
+def sync(
+    result: Annotated[
+        list[str] | None, typer.Argument(help="Results' folders or ids; all where left out.")
+    ] = None,
+    tracking_uri: Annotated[
+        str | None,
+        typer.Option(help="MLflow to fill; MLFLOW_TRACKING_URI, else the project's own store."),
+    ] = None,
+) -> None:
+    """Fill MLflow from results, without doubling anything that is there."""
+    commands.sync(result or [], results_root(), commands.tracking_uri(tracking_uri))
+
+
+@app.command()
+def ui(
+    port: Annotated[int, typer.Option(help="Port on 127.0.0.1; 0 takes a free one.")] = 5000,
+) -> None:
+    """Open MLflow's pages over the project's store, on this machine only."""
+    commands.ui(port)
+
+
+@app.command()
+def doctor() -> None:
+    """Check this machine: versions, models, data, renderer, store."""
+    raise typer.Exit(commands.doctor(store_root()))
+
+
+@cache_app.command("ls")
+def cache_ls(
+    stage: Annotated[str | None, typer.Option(help="Only this stage.")] = None,
+    store: StoreOption = None,
+) -> None:
+    """List what is cached, by stage."""
+    commands.cache_ls(store or store_root(), stage)
+
+
+@cache_app.command("verify")
+def cache_verify(store: StoreOption = None) -> None:
+    """Read everything that is cached, and check it against its digest."""
+    raise typer.Exit(commands.cache_verify(store or store_root()))
+
+
+@cache_app.command("gc")
+def cache_gc(
+    keep_days: Annotated[
+        float | None,
+        typer.Option(help="Also remove results that nobody used for so many days."),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would go.")] = False,
+    store: StoreOption = None,
+) -> None:
+    """Remove from the store what nothing refers to."""
+    commands.cache_gc(store or store_root(), keep_days, dry_run)
+
+
+def main(arguments: list[str] | None = None) -> Any:
+    """Entry point: errors of ours become one line and an exit code."""
+    try:
+        return app(args=arguments)
+    except InputError as error:
+        _complain(error)
+        sys.exit(EXIT_BAD_INPUT)
+    except GVRError as error:
+        _complain(error)
+        sys.exit(EXIT_FAILED)
+
+
+def _complain(error: GVRError) -> None:
+    Console(stderr=True, soft_wrap=True).print(
+        f"gvr: {error}", style="red", markup=False, highlight=False
+    )

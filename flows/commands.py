@@ -1,0 +1,237 @@
+"""What the command line does; each function is one command, usable without a shell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console, RenderableType
+from rich.table import Table
+
+from flows.places import home
+from flows.suite import SuiteConfig, override, read_suite
+from gvr_core.errors import unknown_name
+from reports import tables
+from reports.mlflow_store import SyncError, default_tracking_uri
+from reports.record import Result
+from reports.result_io import list_results, read_result
+from tasks.store import Store
+
+console = Console()
+warnings = Console(stderr=True)
+
+
+def tracking_uri(given: str | None) -> str:
+    """The MLflow to fill: the one given, else the user's or the project's own."""
+    return given or default_tracking_uri()
+
+
+def run(
+    suite_name: str,
+    methods: Sequence[str],
+    datasets: Sequence[str],
+    scenes: Sequence[str],
+    limit: int | None,
+    store: Path,
+    results: Path,
+    mlflow: str | None,
+    progress: bool,
+) -> int:
+    """``gvr run``: run a suite, print its tables, fill MLflow.
+
+    Returns:
+        Exit code: 0; 1 where a scene failed; 2 where it failed for something the user gave.
+    """
+    suite = override(read_suite(suite_name), methods, datasets, scenes, limit)
+    _check(suite)
+
+    from flows.benchmark import run_benchmark
+    from tasks.prefect_runtime import prefect_runtime
+
+    with prefect_runtime(Store(store), home=home() / "prefect"):
+        outcome = run_benchmark(suite, store, results, progress)
+    print_tables(outcome.result, outcome.rows)
+    console.print(f"\nResult: {outcome.folder}", soft_wrap=True, highlight=False)
+    if mlflow is not None:
+        _fill_mlflow([outcome.folder], mlflow)
+    for failure in outcome.failed:
+        warnings.print(f"failed: {failure}", style="red", markup=False, soft_wrap=True)
+    if not outcome.failed:
+        return 0
+    return 2 if outcome.bad_input else 1
+
+
+def _check(suite: SuiteConfig) -> None:
+    """Refuse what cannot run before a server is started for it."""
+    from datasets.registry import get_dataset
+    from gvr_core.models.registry import check_models
+
+    check_models(suite.models)
+    for choice in suite.datasets:
+        known = get_dataset(choice.name, choice.settings).scenes()
+        for scene in choice.scenes or ():
+            if scene not in known:
+                raise unknown_name(f"scene of {choice.name}", scene, known)
+
+
+def print_tables(result: Result, rows: Sequence[object]) -> None:
+    """The tables of a result, for a terminal."""
+    parts: list[RenderableType] = [
+        tables.headline(result, rows),
+        tables.timing(result),
+        tables.refusals(result, rows),
+        tables.stages(result),
+    ]
+    for part in parts:
+        console.print(part)
+
+
+def ground(
+    splat: Path,
+    cameras: Path,
+    texts: Sequence[str],
+    method: str,
+    out: Path,
+    max_views: int | None,
+    store: Path,
+    progress: bool,
+) -> None:
+    """``gvr ground``: one scene of one's own."""
+    from flows.own import ground_own
+    from tasks.prefect_runtime import prefect_runtime
+
+    with prefect_runtime(Store(store), home=home() / "prefect"):
+        answers = ground_own(splat, cameras, texts, method, out, max_views, store, progress)
+    table = Table("query", "found", "Gaussians", "location", "files", box=None)
+    for answer in answers:
+        place = "-" if answer.location is None else " ".join(f"{x:.3g}" for x in answer.location)
+        files = "  ".join(path.name for path in answer.files)
+        table.add_row(
+            answer.text, "yes" if answer.found else "no", str(answer.n_flagged), place, files
+        )
+    console.print(table)
+    console.print(f"Files in {out}", soft_wrap=True, highlight=False)
+
+
+def find_result(name: str, root: Path) -> Path:
+    """The folder of a result: a path, an id under the root, or the newest one.
+
+    Raises:
+        ConfigError: if there is none.
+    """
+    known = list_results(root)
+    if name and (Path(name) / "result.json").exists():
+        return Path(name)
+    matches = [path for path in known if path.name == name] if name else known[-1:]
+    if not matches:
+        raise unknown_name("result", name or "(newest)", [path.name for path in known])
+    return matches[0]
+
+
+def show(name: str, root: Path, markdown: bool) -> None:
+    """``gvr show``: the tables of a result again."""
+    result, rows = read_result(find_result(name, root))
+    if markdown:
+        print(tables.readme_block(result, rows))
+    else:
+        print_tables(result, rows)
+
+
+def sync(names: Sequence[str], root: Path, mlflow: str) -> None:
+    """``gvr sync``: fill MLflow from results.
+
+    Raises:
+        SyncError: if MLflow cannot be reached.
+    """
+    folders = [find_result(name, root) for name in names] if names else list_results(root)
+    if not folders:
+        console.print(f"No results under {root}")
+    _fill_mlflow(folders, mlflow, must=True)
+
+
+def _fill_mlflow(folders: Sequence[Path], uri: str, must: bool = False) -> None:
+    from reports.mlflow_sink import sync as sync_result
+
+    for folder in folders:
+        result, _ = read_result(folder)
+        experiment = str(result.config.get("experiment", "gvr-bench"))
+        try:
+            report = sync_result(folder, uri, experiment)
+        except SyncError as error:
+            if must:
+                raise
+            warnings.print(
+                f"MLflow was not filled: {error}\nThe result is safe; `gvr sync` fills it later.",
+                style="yellow",
+                markup=False,
+                soft_wrap=True,
+            )
+            return
+        console.print(f"MLflow: {report}", soft_wrap=True, highlight=False)
+
+
+def ui(port: int) -> None:
+    """``gvr ui``: MLflow's pages on loopback, until interrupted."""
+    from reports.mlflow_server import serve_ui
+
+    serve_ui(port)
+
+
+def cache_ls(root: Path, stage: str | None) -> None:
+    """``gvr cache ls``."""
+    listing = Store(root).ls(stage)
+    table = Table("stage", "results", "computed in", "size", box=None)
+    for name, count in listing.stages.items():
+        lines = [line for line in listing.records if line.stage == name]
+        table.add_row(
+            name,
+            str(count),
+            f"{sum(line.seconds for line in lines):.1f} s",
+            _size(sum(line.bytes for line in lines)),
+        )
+    console.print(table)
+    console.print(f"{listing.objects} objects, {_size(listing.object_bytes)}, in {root}")
+    if listing.unreadable:
+        console.print(f"{listing.unreadable} records cannot be read and will be computed again")
+
+
+def cache_verify(root: Path) -> int:
+    """``gvr cache verify``; exit code 1 where something is damaged."""
+    report = Store(root).verify()
+    for problem in report.problems:
+        console.print(f"{problem.path}: {problem.finding}", markup=False, soft_wrap=True)
+    console.print(
+        f"{report.records} results, {report.artifacts} artifacts, "
+        f"{_size(report.bytes_hashed)} read, {len(report.problems)} problems, "
+        f"{report.orphans} objects that no result names"
+    )
+    return 0 if report.sound else 1
+
+
+def cache_gc(root: Path, keep_days: float | None, dry_run: bool) -> None:
+    """``gvr cache gc``."""
+    report = Store(root).gc(keep_days=keep_days, dry_run=dry_run)
+    verb = "would go" if report.dry_run else "removed"
+    console.print(
+        f"{verb}: {report.records} results, {report.objects} objects, "
+        f"{report.temporary} unfinished files; {_size(report.bytes_freed)}. "
+        f"{report.spared} young objects spared."
+    )
+
+
+def doctor(store: Path) -> int:
+    """``gvr doctor``; exit code 1 where something needed does not work."""
+    from flows.doctor import examine
+
+    table = Table("", "what", "finding", box=None)
+    worst = 0
+    for finding in examine(store):
+        mark = {"ok": "[green]ok[/]", "note": "[yellow]--[/]", "bad": "[red]!![/]"}[finding.state]
+        table.add_row(mark, finding.what, finding.text)
+        worst = max(worst, 1 if finding.state == "bad" else 0)
+    console.print(table)
+    return worst
+
+
+def _size(count: int) -> str:
+    return f"{count / 1e6:.1f} MB" if count < 1e9 else f"{count / 1e9:.2f} GB"

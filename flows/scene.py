@@ -1,0 +1,267 @@
+"""The scene flow: every stage of every method on one scene, one cached task after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from prefect import flow
+
+from datasets.base import SceneData
+from datasets.registry import get_dataset
+from flows.progress import Progress
+from flows.suite import DatasetChoice, SuiteConfig
+from gvr_core.errors import InputError
+from gvr_core.methods import MethodConfig, Toolbox
+from gvr_core.models.registry import build_models
+from gvr_core.rendering import get_renderer
+from gvr_core.scene import Query
+from reports.record import QueryOutcome, Row, SceneResult, StageTiming
+from tasks.groundings import Answer, unpack_answers
+from tasks.records import StageRecord
+from tasks.stage import Stage, StageRun, run_stage
+from tasks.stages import PREPARATION, STAGES, SceneJob, StagePlan
+from tasks.store import Store
+
+
+@dataclass(frozen=True)
+class SceneOutcome:
+    """What one method on one scene gave: its result, its rows, and its pictures in the store."""
+
+    result: SceneResult
+    rows: tuple[Row, ...] = ()
+    pictures: dict[str, Path] = field(default_factory=dict)
+    """Path relative to the result's folder -> the picture in the store."""
+    bad_input: bool = False
+    """Whether it failed for something the user gave."""
+
+
+def make_job(
+    data: SceneData,
+    suite: SuiteConfig,
+    method: MethodConfig,
+    store: Store,
+    progress: Progress | None = None,
+) -> SceneJob:
+    """One method on one scene, with its models and renderer.
+
+    Args:
+        data: The scene.
+        suite: The benchmark's configuration.
+        method: The method.
+        store: Where results of stages lie.
+        progress: Shows progress bars; None shows none.
+
+    Raises:
+        ConfigError: for models that are not known.
+        ModelError: for weights that are missing or wrong.
+    """
+    config = suite.models
+    if method.encoder_override:
+        config = config.model_copy(update={"encoder": method.encoder_override})
+    tools = Toolbox(get_renderer(suite.renderer), build_models(config))
+    queries = data.queries[: suite.limit] if suite.limit else data.queries
+    job = SceneJob(store, data, queries, method, tools)
+    if progress is None:
+        return job
+    label = f"{data.scene.dataset}/{data.scene.name} · {method.shown_name}"
+    return SceneJob(store, data, queries, method, tools, partial(progress.track, label=label))
+
+
+def run_stages(job: SceneJob) -> dict[str, StageRun]:
+    """Run every stage of a job, or find its result in the store.
+
+    Args:
+        job: One method on one scene.
+
+    Returns:
+        Stage name -> how it ended.
+    """
+    runs: dict[str, StageRun] = {}
+    records: dict[str, StageRecord] = {}
+    for plan in STAGES:
+        config = plan.config(job)
+        runs[plan.name] = run_stage(
+            Stage(plan.name, plan.version, partial(_compute, plan), tuple(config)),
+            job.store,
+            plan.inputs(job, records),
+            config,
+            label=f"{job.data.scene.dataset}/{job.data.scene.name}",
+            runtime={"job": job, "done": dict(records)},
+        )
+        records[plan.name] = runs[plan.name].record
+    return runs
+
+
+def _compute(plan: StagePlan, store: Store, inputs: Any, config: Any, **runtime: Any) -> Any:
+    return plan.compute(runtime["job"], runtime["done"])
+
+
+@flow(name="scene", flow_run_name="{dataset}/{scene}", validate_parameters=False)
+def scene_flow(
+    suite: dict[str, Any], dataset: str, scene: str, store: str, progress: bool = False
+) -> list[SceneOutcome]:
+    """All methods of a suite on one scene.
+
+    A method that fails is reported as failed, and the others go on.
+
+    Args:
+        suite: The suite's configuration as JSON values.
+        dataset: Name of the data set.
+        scene: Name of the scene.
+        store: Root of the artifact store.
+        progress: Show progress bars.
+    """
+    config = SuiteConfig.model_validate(suite)
+    choice = next(d for d in config.datasets if d.name == dataset)
+    with Progress(shown=progress) as bars:
+        try:
+            data = load_scene(choice, scene)
+        except Exception as error:
+            return [_failed(dataset, scene, method, error) for method in config.methods]
+        return [run_method(data, config, method, Store(store), bars) for method in config.methods]
+
+
+def load_scene(choice: DatasetChoice, scene: str) -> SceneData:
+    """Read one scene of a data set, making it first where the data set makes its own."""
+    return get_dataset(choice.name, choice.settings).load(scene)
+
+
+def run_method(
+    data: SceneData,
+    suite: SuiteConfig,
+    method: MethodConfig,
+    store: Store,
+    progress: Progress | None = None,
+) -> SceneOutcome:
+    """One method on one scene, from its stages to rows and timings.
+
+    Args:
+        data: The scene.
+        suite: The benchmark's configuration.
+        method: The method.
+        store: Where results of stages lie.
+        progress: Shows progress bars; None shows none.
+
+    Returns:
+        The outcome; a failure is an outcome too, with the error's text.
+    """
+    try:
+        job = make_job(data, suite, method, store, progress)
+        runs = run_stages(job)
+        return _outcome(job, runs)
+    except Exception as error:
+        return _failed(data.scene.dataset, data.scene.name, method, error)
+
+
+def _outcome(job: SceneJob, runs: dict[str, StageRun]) -> SceneOutcome:
+    scene, method = job.data.scene, job.method.shown_name
+    answers = unpack_answers(job.store.load_arrays(runs["segment"]["groundings"]))
+    queries, pictures = [], {}
+    folder = f"pictures/{file_name(scene.dataset)}/{file_name(scene.name)}/{file_name(method)}"
+    for query, answer in zip(job.queries, answers, strict=True):
+        path = f"{folder}/{query.id}.png"
+        pictures[path] = job.store.path(runs["evaluate"][f"picture.{query.id}"])
+        queries.append(_query_outcome(query, answer, runs, path))
+    known = {query.id: query for query in job.queries}
+    rows = tuple(
+        Row(
+            dataset=scene.dataset,
+            scene=scene.name,
+            method=method,
+            text=known[scored["query"]].text,
+            target=known[scored["query"]].target,
+            absent=known[scored["query"]].absent,
+            **scored,
+        )
+        for scored in job.store.load_json(runs["evaluate"]["rows"])
+    )
+    models = job.tools.models
+    seconds = [sum(outcome.seconds.values()) for outcome in queries]
+    camera = scene.views[0].camera
+    result = SceneResult(
+        dataset=scene.dataset,
+        scene=scene.name,
+        method=method,
+        status="completed",
+        n_gaussians=len(scene.gaussians),
+        n_views=len(scene.views),
+        n_patches=int(runs["masks"].record.detail["n_patches"]),
+        picture_size=(camera.width, camera.height),
+        models={
+            "renderer": job.tools.renderer.name,
+            "segmenter": models.segmenter.name,
+            "encoder": models.encoder.name,
+            "text_segmenter": models.text_segmenter.name,
+        },
+        digests=dict(job.data.digests),
+        prepare_seconds=sum(runs[stage].record.seconds for stage in PREPARATION),
+        query_seconds=sum(seconds) / len(seconds) if seconds else 0.0,
+        stages=tuple(_timing(run) for run in runs.values()),
+        queries=tuple(queries),
+    )
+    return SceneOutcome(result, rows, pictures)
+
+
+def _query_outcome(
+    query: Query, answer: Answer, runs: dict[str, StageRun], picture: str
+) -> QueryOutcome:
+    locate: Any = runs["query"].record.detail["seconds"]
+    segment: Any = runs["segment"].record.detail["seconds"]
+    place = answer.location
+    return QueryOutcome(
+        query=query.id,
+        found=answer.found,
+        location=None if place is None else (float(place[0]), float(place[1]), float(place[2])),
+        n_flagged=int(answer.flags.sum()),
+        confidence=answer.confidence,
+        seconds={"query": locate[query.id], "segment": segment[query.id]["segment"]},
+        picture=picture,
+    )
+
+
+def _timing(run: StageRun) -> StageTiming:
+    record = run.record
+    return StageTiming(
+        stage=record.stage,
+        seconds=record.seconds,
+        cpu_seconds=record.cpu_seconds,
+        peak_bytes=record.peak_bytes,
+        state="cached" if run.cached else "computed",
+        key=record.key,
+    )
+
+
+def _failed(dataset: str, scene: str, method: MethodConfig, error: Exception) -> SceneOutcome:
+    text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+    result = SceneResult(
+        dataset=dataset, scene=scene, method=method.shown_name, status="failed", error=text
+    )
+    return SceneOutcome(result, bad_input=isinstance(error, InputError))
+
+
+def file_name(name: str) -> str:
+    """A name with everything but letters, digits, dots and dashes replaced."""
+    safe = "".join(c if c.isalnum() or c in ".-" else "_" for c in name)
+    return safe.strip(".") or "_"
+
+
+def resolve_scenes(choices: Sequence[DatasetChoice]) -> list[tuple[str, str]]:
+    """All (data set, scene) pairs of a suite, checked before anything runs.
+
+    Raises:
+        ConfigError: for a scene that the data set does not have.
+    """
+    from gvr_core.errors import unknown_name
+
+    pairs = []
+    for choice in choices:
+        known = list(get_dataset(choice.name, choice.settings).scenes())
+        for scene in known if choice.scenes is None else choice.scenes:
+            if scene not in known:
+                raise unknown_name(f"scene of {choice.name}", scene, known)
+            pairs.append((choice.name, scene))
+    return pairs

@@ -1,0 +1,208 @@
+"""Front-to-back blending of a tile's Gaussians, sixteen pixels of a row at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gvr_core.rendering.base import ALPHA_MAX, TRANSMITTANCE_MIN
+from gvr_core.rendering.compiled import inlined, kernel
+from gvr_core.rendering.layout import (
+    BLUE,
+    DEPTH,
+    EXTENT_Y,
+    GREEN,
+    MEAN_X,
+    MEAN_Y,
+    RED,
+    REST_X,
+    REST_Y,
+    ROW,
+    T0,
+    T_MIN,
+    TILE,
+    A,
+    B,
+    C,
+)
+
+FloatArray = NDArray[np.float32]
+IntArray = NDArray[np.int32]
+
+_ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
+_ALPHA_MAX, _STOP = np.float32(ALPHA_MAX), np.float32(TRANSMITTANCE_MIN)
+_BATCH = 32
+"""Gaussians between two looks at which rows of a tile are finished."""
+
+T_, R_, G_, B_, D_, M_ = 0, 16, 32, 48, 64, 80
+_ROW_STATE = 96
+
+# 2^t on [-1, 0], relative error below 1e-7 (Chebyshev interpolation, degree 5).
+_P0, _P1 = np.float32(0.9999999250634852), np.float32(0.6931422525915856)
+_P2, _P3 = np.float32(0.24017218923634062), np.float32(0.05527972254849632)
+_P4, _P5 = np.float32(0.00918861169470596), np.float32(0.0009387883226651354)
+
+
+@inlined
+def _count_living(state: FloatArray, alive: NDArray[np.bool_]) -> int:
+    """Note which rows of the tile are still being blended, and count them."""
+    living = 0
+    for y in range(TILE):
+        most = state[y, T_ + 0]
+        for x in range(1, TILE):
+            most = max(most, state[y, T_ + x])
+        alive[y] = most > _ZERO
+        living += alive[y]
+    return living
+
+
+@inlined
+def blend_row(
+    state: FloatArray,
+    u_left: np.float32,
+    a: np.float32,
+    t_row: np.float32,
+    red: np.float32,
+    green: np.float32,
+    blue: np.float32,
+    depth: np.float32,
+    mask: FloatArray | None,
+    sums: FloatArray | None,
+) -> None:
+    """Blend one Gaussian into sixteen pixels of a row: float32 and without branches."""
+    for x in range(TILE):
+        u = u_left + a * np.float32(x)
+        t = t_row - u * u
+        s = max(t, -_ONE)
+        power = _P0 + s * (_P1 + s * (_P2 + s * (_P3 + s * (_P4 + s * _P5))))
+        power *= power
+        power *= power
+        power *= power
+        alpha = min(power, _ALPHA_MAX)
+        before = state[T_ + x]
+        after = before - alpha * before
+        hit = t >= T_MIN
+        goes_on = hit & (after > _STOP)
+        left = after if goes_on else before
+        weight = before - left
+        stopped = -abs(before) if hit else before
+        state[T_ + x] = after if goes_on else stopped
+        state[R_ + x] += weight * red
+        state[G_ + x] += weight * green
+        state[B_ + x] += weight * blue
+        state[D_ + x] += weight * depth
+        median = state[M_ + x]
+        state[M_ + x] = depth if (before > _HALF) & (left <= _HALF) else median
+        if mask is not None and sums is not None:
+            sums[x] += weight * mask[x]
+            sums[TILE + x] += weight * mask[TILE + x]
+
+
+@kernel
+def blend_tiles(
+    start: int,
+    stop: int,
+    first_pair: NDArray[np.int64],
+    pairs: IntArray,
+    rows: FloatArray,
+    tiles_x: int,
+    background: FloatArray,
+    rgb: FloatArray,
+    alpha: FloatArray,
+    expected_depth: FloatArray,
+    median_depth: FloatArray,
+    mask: FloatArray | None,
+    inside: FloatArray | None,
+    outside: FloatArray | None,
+) -> None:
+    """Draw the tiles ``start`` to ``stop`` - 1.
+
+    Args:
+        start: First tile.
+        stop: One past the last.
+        first_pair: (tiles + 1,) int64: where each tile's pairs begin.
+        pairs: (P,) int32: Gaussians of each tile, front to back.
+        rows: (N, 16) float32, see :mod:`gvr_core.rendering.layout`.
+        tiles_x: Tiles in a row.
+        background: (3,) float32.
+        rgb: (H, W, 3) float32, written.
+        alpha: (H, W) float32, written.
+        expected_depth: (H, W) float32, written.
+        median_depth: (H, W) float32, written.
+        mask: (H, W) float32 or None.
+        inside: (P,) float32, written where there is a mask: the sum of mask * alpha T of each
+            pair. Zero for pairs that are never reached.
+        outside: (P,) float32, likewise of (1 - mask) * alpha T.
+    """
+    height, width = alpha.shape
+    # Of each row of the tile: T, red, green, blue, depth, median depth, sixteen pixels each.
+    # T is kept negative where blending has stopped. One flat array, so that LLVM sees that
+    # the parts do not overlap and can use vectors.
+    state = np.empty((TILE, _ROW_STATE), np.float32)
+    alive = np.empty(TILE, np.bool_)
+    batch = np.empty((_BATCH, ROW), np.float32)
+    if mask is not None:
+        tile_mask = np.zeros((TILE, 2 * TILE), np.float32)
+        sums = np.empty(2 * TILE, np.float32)
+    for tile in range(start, stop):
+        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        columns, lines = min(TILE, width - left), min(TILE, height - top)
+        state[:, :] = _ZERO
+        for y in range(TILE):
+            for x in range(TILE):
+                state[y, T_ + x] = _ONE if (y < lines and x < columns) else -_ONE
+        if mask is not None:
+            for y in range(lines):
+                for x in range(columns):
+                    tile_mask[y, x] = mask[top + y, left + x]
+                    tile_mask[y, TILE + x] = _ONE - mask[top + y, left + x]
+        left_centre, top_centre = np.float32(left) + _HALF, np.float32(top) + _HALF
+        begin, end = first_pair[tile], first_pair[tile + 1]
+        for first_of_batch in range(begin, end, _BATCH):
+            living = _count_living(state, alive)
+            if living == 0:
+                break
+            size = min(_BATCH, end - first_of_batch)
+            # The rows lie anywhere in memory: fetched together, their latencies overlap.
+            for n in range(size):
+                i = pairs[first_of_batch + n]
+                for k in range(ROW):
+                    batch[n, k] = rows[i, k]
+            for n in range(size):
+                row = batch[n]
+                mean_x = (row[MEAN_X] - left_centre) + row[REST_X]
+                mean_y = (row[MEAN_Y] - top_centre) + row[REST_Y]
+                extent = row[EXTENT_Y]
+                first = int(max(np.ceil(mean_y - extent), _ZERO))
+                last = int(min(np.floor(mean_y + extent), np.float32(lines - 1)))
+                a, b, c, t0 = row[A], row[B], row[C], row[T0]
+                red, green, blue, depth = row[RED], row[GREEN], row[BLUE], row[DEPTH]
+                u_left = -a * mean_x
+                if mask is not None:
+                    sums[:] = _ZERO
+                for y in range(first, last + 1):
+                    if not alive[y]:
+                        continue
+                    dy = np.float32(y) - mean_y
+                    v = c * dy
+                    u, t = u_left - b * dy, t0 - v * v
+                    if mask is not None:
+                        weights = tile_mask[y]
+                        blend_row(state[y], u, a, t, red, green, blue, depth, weights, sums)
+                    else:
+                        blend_row(state[y], u, a, t, red, green, blue, depth, None, None)
+                if inside is not None and outside is not None:
+                    inside[first_of_batch + n] = sums[:TILE].sum()
+                    outside[first_of_batch + n] = sums[TILE:].sum()
+        for y in range(lines):
+            for x in range(columns):
+                rest = abs(state[y, T_ + x])
+                covered = _ONE - rest
+                rgb[top + y, left + x, 0] = state[y, R_ + x] + rest * background[0]
+                rgb[top + y, left + x, 1] = state[y, G_ + x] + rest * background[1]
+                rgb[top + y, left + x, 2] = state[y, B_ + x] + rest * background[2]
+                alpha[top + y, left + x] = covered
+                expected_depth[top + y, left + x] = (
+                    state[y, D_ + x] / covered if covered > _ZERO else _ZERO
+                )
+                median_depth[top + y, left + x] = state[y, M_ + x]

@@ -1,0 +1,105 @@
+"""How the kernels of the CPU renderer are compiled, and how they are spread over threads.
+
+Kernels are compiled by numba without its own parallel loops: they release the GIL, take one
+piece of the work each, and plain Python threads hand the pieces out. So renders may be started
+from any number of Python threads at once, which numba's default threading layer (workqueue)
+answers by ending the process, and a forked child can render, which GNU OpenMP does not allow.
+
+Numba's cache of compiled code notices changes in the file of a kernel only. No kernel therefore
+calls compiled code of another file; each reads what it needs from arrays.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar, cast
+
+from numba import njit
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_FASTMATH = {"contract", "arcp", "nsz"}
+"""Fused multiply-add and reciprocals; no reordering of sums, so results do not depend on how a
+loop was vectorised."""
+
+
+def kernel(function: Function) -> Function:
+    """Compile a function with numba: cached on disk, GIL released, IEEE division by zero."""
+    compile_ = njit(cache=True, nogil=True, error_model="numpy", fastmath=_FASTMATH)
+    return cast(Function, compile_(function))
+
+
+def inlined(function: Function) -> Function:
+    """Compile a helper of the kernels in its file, for LLVM to put in place of each call."""
+    compile_ = njit(error_model="numpy", fastmath=_FASTMATH, forceinline=True)
+    return cast(Function, compile_(function))
+
+
+def available_threads() -> int:
+    """Number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+_pool: ThreadPoolExecutor | None = None
+_pool_lock = threading.Lock()
+
+
+def _forget_pool() -> None:
+    """Threads do not survive a fork: the child starts with its own."""
+    global _pool, _pool_lock
+    _pool, _pool_lock = None, threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_pool)
+
+
+def _workers() -> ThreadPoolExecutor:
+    global _pool
+    with _pool_lock:
+        if _pool is None:
+            _pool = ThreadPoolExecutor(available_threads(), thread_name_prefix="gvr-render")
+        return _pool
+
+
+def run_pieces(work: Callable[[int], object], pieces: int, threads: int) -> None:
+    """Call ``work(0) ... work(pieces - 1)``, each once, on several threads.
+
+    Pieces are handed out in order to whichever thread is free, the calling one included. They
+    must not write to the same memory.
+
+    Args:
+        work: Takes the number of a piece.
+        pieces: How many there are.
+        threads: Most threads to use, the calling one included.
+
+    Raises:
+        Exception: the first that a piece raised, after all threads have stopped.
+    """
+    numbers = itertools.count()  # next() is atomic under the GIL
+
+    def drain() -> None:
+        while (number := next(numbers)) < pieces:
+            work(number)
+
+    helpers = min(threads, pieces) - 1
+    if helpers < 1:
+        drain()
+        return
+    pool = _workers()
+    futures = [pool.submit(drain) for _ in range(helpers)]
+    try:
+        drain()
+    finally:
+        for future in futures:
+            if not future.cancel():
+                future.exception()
+    for future in futures:
+        if not future.cancelled():
+            future.result()

@@ -1,0 +1,53 @@
+"""The row of 16 numbers, a cache line long, that the stages pass on for each projected Gaussian.
+
+Projection and colour fill the row, binning and blending read it. With d = (dx, dy) the offset
+of a pixel centre from the projected mean, and the projected covariance [[xx, xy], [xy, yy]],
+
+    d^T Sigma^-1 d = (dx - k dy)^2 / s + dy^2 / yy,    k = xy / yy,    s = det / yy.
+
+A long thin Gaussian has entries of Sigma^-1 that cancel to a thousandth and less; in this form
+nothing cancels, so that float32 is enough, and a row of pixels costs one multiply-add each for
+the bracket and its square. The exponent is kept in base 2 and divided by 8:
+
+    alpha = 2^(8 t),    t = log2(opacity) / 8 - (A dx - B dy)^2 - (C dy)^2.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gvr_core.rendering.base import ALPHA_MIN
+
+TILE = 16
+"""Side of a tile, pixels."""
+
+ROW = 16
+"""Numbers per Gaussian."""
+
+MEAN_X, MEAN_Y = 0, 1
+"""Projected mean, pixels."""
+A, B, C = 2, 3, 4
+"""Factors of the exponent, 1/pixel: A = kappa / sqrt(s), B = k A, C = kappa / sqrt(yy)."""
+T0 = 5
+"""log2(opacity) / 8: the exponent at the mean."""
+RED, GREEN, BLUE = 6, 7, 8
+"""Colour seen from the camera, >= 0."""
+DEPTH = 9
+"""z in the camera frame, scene units."""
+EXTENT_X, EXTENT_Y = 10, 11
+"""Half width and half height, pixels, of the ellipse on which alpha is 1/255."""
+TOP_Y = 12
+"""dy of the rightmost point of that ellipse (and -dy of the leftmost)."""
+LIMIT = 13
+"""(A dx - B dy)^2 + (C dy)^2 on that ellipse: log2(255 opacity) / 8."""
+REST_X, REST_Y = 14, 15
+"""What float32 leaves out of the projected mean, pixels. At x = 640 that is up to 3e-5, and a
+Gaussian of a pixel's size gains or loses as much opacity by it."""
+
+EXPONENT_SCALE = math.sqrt(math.log2(math.e) / 16)
+"""kappa: makes the squares add up to the exponent in base 2, divided by 8."""
+
+T_MIN = np.float32(math.log2(ALPHA_MIN) / 8)
+"""The exponent at which alpha is 1/255."""

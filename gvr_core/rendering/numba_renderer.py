@@ -1,0 +1,210 @@
+"""The CPU renderer: project, sort by depth, bin into tiles, blend.
+
+The algorithm is the tile rasteriser of 3D Gaussian Splatting (Kerbl et al., 2023), with the
+opacity-aware extent that gsplat uses, as compiled kernels over pieces of the work. A picture
+does not depend on the number of threads: every sum has one owner and one order.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gvr_core.cameras import Camera
+from gvr_core.gaussians import Gaussians
+from gvr_core.rendering.base import Rendering
+from gvr_core.rendering.binning import bin_piece, cursors
+from gvr_core.rendering.blending import blend_tiles
+from gvr_core.rendering.compiled import available_threads, run_pieces
+from gvr_core.rendering.inputs import checked_background, checked_mask
+from gvr_core.rendering.layout import DEPTH, ROW, TILE
+from gvr_core.rendering.projection import camera_numbers, project
+from gvr_core.rendering.sorting import radix_argsort
+from gvr_core.rendering.spherical_harmonics import shade
+from gvr_core.rendering.weights import sum_pairs
+
+FloatArray = NDArray[np.float32]
+IntArray = NDArray[np.int32]
+
+_GAUSSIANS_A_PIECE = 16384
+_TILES_A_PIECE = 20
+_BINNING_PIECES = 8
+
+
+@dataclass(frozen=True)
+class StageSeconds:
+    """Wall-clock seconds of one render, by stage."""
+
+    project: float
+    """Projection and colour."""
+    sort: float
+    bin: float
+    blend: float
+    """Blending, and the sums of a mask's weights."""
+
+    @property
+    def total(self) -> float:
+        """All stages together, seconds."""
+        return self.project + self.sort + self.bin + self.blend
+
+
+class NumbaRenderer:
+    """Draws Gaussians on the CPU; safe to use from several threads, and after a fork.
+
+    Args:
+        threads: Most threads to use; None for all processors that the process may use.
+    """
+
+    def __init__(self, threads: int | None = None) -> None:
+        self.threads = available_threads() if threads is None else max(1, threads)
+
+    @property
+    def name(self) -> str:
+        """Name and version of the backend; the version changes when a picture may change."""
+        return "numba/1"
+
+    def render(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        mask: FloatArray | None = None,
+    ) -> Rendering:
+        """Draw one picture; see :class:`gvr_core.rendering.base.Renderer`.
+
+        Raises:
+            InputError: for a background or a mask that does not fit.
+        """
+        return self.render_timed(gaussians, camera, background, mask)[0]
+
+    def render_timed(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        mask: FloatArray | None = None,
+    ) -> tuple[Rendering, StageSeconds]:
+        """Draw one picture, and say what each stage took.
+
+        Args:
+            gaussians: As of :meth:`render`.
+            camera: As of :meth:`render`.
+            background: As of :meth:`render`.
+            mask: As of :meth:`render`.
+
+        Raises:
+            InputError: for a background or a mask that does not fit.
+        """
+        colour = checked_background(background)
+        portion = None if mask is None else checked_mask(mask, camera)
+        times = [time.perf_counter()]
+        rows, seen = self._project(gaussians, camera)
+        times.append(time.perf_counter())
+        order = radix_argsort(rows[seen, DEPTH].view(np.uint32), seen)
+        rows = self._in_order(rows, order)
+        times.append(time.perf_counter())
+        tiles = (-(-camera.width // TILE), -(-camera.height // TILE))
+        first_pair, pairs = self._bin(rows, tiles)
+        times.append(time.perf_counter())
+        rendering = self._blend(
+            len(gaussians), camera, rows, order, tiles, first_pair, pairs, colour, portion
+        )
+        times.append(time.perf_counter())
+        return rendering, StageSeconds(*np.diff(times).tolist())
+
+    def _project(self, gaussians: Gaussians, camera: Camera) -> tuple[FloatArray, IntArray]:
+        n = len(gaussians)
+        rows = np.empty((n, ROW), np.float32)
+        seen = np.empty(n, np.bool_)
+        means, sh = np.ascontiguousarray(gaussians.means), np.ascontiguousarray(gaussians.sh)
+        scales, quats = (
+            np.ascontiguousarray(gaussians.scales),
+            np.ascontiguousarray(gaussians.quats),
+        )
+        opacities = np.ascontiguousarray(gaussians.opacities)
+        pose, lens, rotation, limits = camera_numbers(camera)
+        step = _GAUSSIANS_A_PIECE
+
+        def project_piece(piece: int) -> None:
+            span = piece * step, min((piece + 1) * step, n)
+            project(
+                *span, means, scales, quats, opacities, pose, lens, rotation, limits, rows, seen
+            )
+
+        run_pieces(project_piece, -(-n // step), self.threads)
+        visible = np.flatnonzero(seen).astype(np.int32)
+        position = np.ascontiguousarray(camera.position, dtype=np.float64)
+
+        def shade_piece(piece: int) -> None:
+            span = piece * step, min((piece + 1) * step, visible.size)
+            shade(*span, visible, means, sh, position, rows)
+
+        run_pieces(shade_piece, -(-visible.size // step), self.threads)
+        return rows, visible
+
+    def _in_order(self, rows: FloatArray, order: IntArray) -> FloatArray:
+        """Copies of the rows seen, front to back: binning and blending then read them in turn."""
+        n, step = order.size, _GAUSSIANS_A_PIECE
+        ordered = np.empty((n, ROW), np.float32)
+
+        def copy_piece(piece: int) -> None:
+            part = slice(piece * step, min((piece + 1) * step, n))
+            # mode="clip" only because the default would go through a buffer.
+            np.take(rows, order[part], axis=0, out=ordered[part], mode="clip")
+
+        run_pieces(copy_piece, -(-n // step), self.threads)
+        return ordered
+
+    def _bin(self, rows: FloatArray, tiles: tuple[int, int]) -> tuple[NDArray[np.int64], IntArray]:
+        pieces = _BINNING_PIECES
+        edges = np.linspace(0, len(rows), pieces + 1).astype(np.int64)
+        cursor = np.zeros((pieces, tiles[0] * tiles[1]), np.int64)
+        first_pair = np.empty(tiles[0] * tiles[1] + 1, np.int64)
+        nothing = np.empty(0, np.int32)
+
+        def bin_one(piece: int, pairs: IntArray, emit: bool) -> None:
+            span = edges[piece], edges[piece + 1]
+            bin_piece(*span, rows, *tiles, cursor[piece], pairs, emit)
+
+        run_pieces(lambda piece: bin_one(piece, nothing, False), pieces, self.threads)
+        cursors(cursor, first_pair)
+        pairs = np.empty(int(first_pair[-1]), np.int32)
+        run_pieces(lambda piece: bin_one(piece, pairs, True), pieces, self.threads)
+        return first_pair, pairs
+
+    def _blend(
+        self,
+        n: int,
+        camera: Camera,
+        rows: FloatArray,
+        order: IntArray,
+        tiles: tuple[int, int],
+        first_pair: NDArray[np.int64],
+        pairs: IntArray,
+        background: FloatArray,
+        mask: FloatArray | None,
+    ) -> Rendering:
+        shape = camera.height, camera.width
+        rgb = np.empty((*shape, 3), np.float32)
+        alpha, expected, median = (np.empty(shape, np.float32) for _ in range(3))
+        inside = None if mask is None else np.zeros(pairs.size, np.float32)
+        outside = None if mask is None else np.zeros(pairs.size, np.float32)
+        count, step = tiles[0] * tiles[1], _TILES_A_PIECE
+
+        def blend_piece(piece: int) -> None:
+            span = piece * step, min((piece + 1) * step, count)
+            blend_tiles(
+                *span, first_pair, pairs, rows, tiles[0], background,
+                rgb, alpha, expected, median, mask, inside, outside,
+            )  # fmt: skip
+
+        run_pieces(blend_piece, -(-count // step), self.threads)
+        if inside is None or outside is None:
+            return Rendering(rgb, alpha, expected, median)
+        sums = np.zeros((2, n), np.float32)
+        sums[0, order] = sum_pairs(order.size, pairs, inside)
+        sums[1, order] = sum_pairs(order.size, pairs, outside)
+        return Rendering(rgb, alpha, expected, median, sums[0], sums[1])

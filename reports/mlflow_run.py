@@ -1,0 +1,132 @@
+"""The content of one MLflow run, and the names and lengths that MLflow takes.
+
+Metrics of the headline protocols have short names: those of ``gvr.in_scene_2d/1`` their own
+(``acc_peak``, ``acc_at_0.25``; ``miou`` for the mean of ``iou``), those of ``flags_3d/1`` with
+``_3d`` behind. Any other protocol's are called ``<protocol>/<metric>``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gvr_core.metrics import FLAGS_3D, IN_SCENE_2D
+from reports.headline import HEADLINE
+from reports.record import Result
+
+MAX_KEY = 250
+MAX_VALUE = 5000
+"""MLflow takes parameters of 6000 characters, and tags of 8000."""
+_CUT = " ... (cut: the whole is in result.json)"
+
+
+@dataclass(frozen=True)
+class Point:
+    """One value of a metric."""
+
+    key: str
+    value: float
+    step: int = 0
+
+
+@dataclass(frozen=True)
+class RunContent:
+    """All that one MLflow run is to hold."""
+
+    name: str
+    failed: bool
+    seconds: float
+    tags: dict[str, str]
+    params: dict[str, str]
+    points: tuple[Point, ...]
+    n_left_out: int
+    """Values that were not finite, and were left out."""
+    files: tuple[tuple[Path, str], ...] = ()
+    """(file, folder among the artifacts)."""
+    tables: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """File name -> columns and data."""
+    texts: dict[str, str] = field(default_factory=dict)
+    """File name -> text."""
+    datasets: tuple[tuple[str, str, str], ...] = ()
+    """(name, digest, JSON of where it comes from)."""
+
+
+def metric_name(protocol: str, metric: str) -> str:
+    """What a protocol's metric is called in MLflow."""
+    if protocol == IN_SCENE_2D:
+        return safe_key("miou" if metric == "iou" else metric)
+    if protocol == FLAGS_3D:
+        return safe_key(f"{metric}_3d")
+    return safe_key(f"{protocol}/{metric}")
+
+
+def safe_key(name: str) -> str:
+    """A name that MLflow takes; one that had to change ends in four digits of its hash."""
+    parts = re.sub(r"[^\w\-. :/]", "_", name, flags=re.ASCII).split("/")
+    safe = "/".join(part for part in parts if part not in ("", ".", "..")).lstrip(".")
+    if safe == name and len(safe) <= MAX_KEY:
+        return safe
+    return f"{safe[: MAX_KEY - 5]}.{hashlib.sha256(name.encode()).hexdigest()[:4]}"
+
+
+def safe_value(value: Any) -> str:
+    """A parameter's or tag's text, cut where MLflow would refuse it."""
+    text = value if isinstance(value, str) and value else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= MAX_VALUE else text[: MAX_VALUE - len(_CUT)] + _CUT
+
+
+def flatten(config: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    """Nested configuration as dotted keys; lists stay whole."""
+    for key, value in config.items():
+        name = f"{prefix}.{key}"
+        if isinstance(value, Mapping) and value:
+            yield from flatten(value, name)
+        else:
+            yield name, value
+
+
+def common_tags(result: Result) -> dict[str, str]:
+    """The tags that stand on a benchmark's run and on all runs below it."""
+    environment = result.environment
+    tags = {
+        "gvr.run_id": result.run_id,
+        "suite": result.suite,
+        "git_revision": environment.git_revision or "unknown",
+        "git_dirty": json.dumps(environment.git_dirty),
+        "mlflow.source.name": "gvr",
+        "python": environment.python,
+        "platform": environment.platform,
+        "processor": environment.processor,
+        "gpu": environment.gpu or "none",
+        **{f"package.{name}": version for name, version in environment.packages.items()},
+        # "Acc" has several readings; the run says which one its short name stands for.
+        **{f"headline.{c.key}": f"{c.metric} of {c.protocol}" for c in HEADLINE},
+    }
+    if environment.git_revision:
+        tags["mlflow.source.git.commit"] = environment.git_revision
+    return tags
+
+
+def safe_items(content: Mapping[str, Any]) -> dict[str, str]:
+    """Parameters or tags, names and values as MLflow takes them."""
+    return {safe_key(key): safe_value(value) for key, value in content.items()}
+
+
+def finite(points: Iterable[Point]) -> tuple[tuple[Point, ...], int]:
+    """The points with finite values, and how many had others."""
+    # MLflow would store infinity as 1.8e308, and draw it.
+    all_points = list(points)
+    kept = tuple(point for point in all_points if math.isfinite(point.value))
+    return kept, len(all_points) - len(kept)
+
+
+def as_table(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Lines as columns and data, the layout of an MLflow table."""
+    columns = list(dict.fromkeys(name for line in lines for name in line))
+    return {"columns": columns, "data": [[line.get(name) for name in columns] for line in lines]}

@@ -1,0 +1,278 @@
+"""Fill MLflow from a result's folder.
+
+The folder is the truth and MLflow a view of it: a sync can be repeated, and continued after an
+outage, without doubling anything. Runs are found again by their tags; metrics carry the time of
+the benchmark, so that MLflow recognises a point that it has; tables and files are put in place of
+their predecessors. A run is marked as whole only after everything else, and is then left alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from reports.aggregate import aggregate
+from reports.mlflow_content import run_contents
+from reports.mlflow_run import RunContent
+from reports.mlflow_store import (
+    EXPERIMENT,
+    SyncError,
+    artifact_root,
+    default_tracking_uri,
+    locked,
+    mlflow_client,
+    sqlite_database,
+)
+from reports.record import Result
+from reports.result_io import SUMS_FILE, read_result
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+    from mlflow.entities import Run
+
+LAYOUT = 1
+"""Version of the names and contents of runs; a sync by a newer one fills old runs again."""
+WHOLE_TAG = "gvr.synced"
+"""Set last, to the layout and the digest of the record."""
+
+_METRICS_PER_BATCH = 1000
+_ITEMS_PER_BATCH = 100
+_T = TypeVar("_T")
+_Key = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SyncReport:
+    """What a sync did."""
+
+    result: Path
+    tracking_uri: str
+    experiment: str
+    parent_run: str
+    """MLflow's id of the benchmark's run."""
+    n_created: int
+    """Runs that were not there."""
+    n_continued: int
+    """Runs that were there but not whole."""
+    n_unchanged: int
+    """Runs that were whole already."""
+    n_removed: int
+    """Doubles that a lost answer had left behind; moved to MLflow's trash."""
+    n_left_out: int
+    """Values that were not finite."""
+    seconds: float
+
+
+def sync(
+    result_folder: Path, tracking_uri: str | None = None, experiment: str = EXPERIMENT
+) -> SyncReport:
+    """Bring MLflow to what a result's folder says.
+
+    Args:
+        result_folder: A folder that `write_result` made.
+        tracking_uri: As MLflow takes it; default: the user's ``MLFLOW_TRACKING_URI``, else the
+            local store of the working folder.
+        experiment: Name of the experiment; made where missing.
+
+    Raises:
+        ResultError: for a folder that is no result.
+        SyncError: if MLflow cannot be reached or refuses; nothing is lost, and a later sync goes
+            on from there.
+    """
+    from mlflow.exceptions import MlflowException
+    from requests.exceptions import RequestException
+    from sqlalchemy.exc import SQLAlchemyError
+
+    started = time.monotonic()
+    uri = tracking_uri or default_tracking_uri()
+    result, rows = read_result(result_folder)
+    contents = run_contents(result_folder, result, rows, aggregate(rows, result.scenes))
+    try:
+        # One writer per result; of two syncs at once the second finds everything whole.
+        with locked(result_folder), mlflow_client(uri) as client:
+            experiment_id = _experiment(client, uri, experiment)
+            writer = _Writer(client, uri, experiment_id, result, _digest(result_folder))
+            parent = writer.write(contents)
+    except (MlflowException, RequestException, SQLAlchemyError, OSError) as error:
+        reason = str(error).strip().splitlines() or [type(error).__name__]
+        raise SyncError(
+            f"{reason[0][:300]}; the result in {result_folder} is safe, and `gvr sync` goes on "
+            "from here",
+            tracking_uri=uri,
+        ) from error
+    return SyncReport(
+        result=result_folder,
+        tracking_uri=uri,
+        experiment=experiment,
+        parent_run=parent,
+        n_created=writer.n_created,
+        n_continued=writer.n_continued,
+        n_unchanged=writer.n_unchanged,
+        n_removed=writer.n_removed,
+        n_left_out=sum(content.n_left_out for content in contents),
+        seconds=time.monotonic() - started,
+    )
+
+
+def _digest(folder: Path) -> str:
+    # The file of sums stands for every file of the record, the pictures too.
+    return f"{LAYOUT}:{hashlib.sha256((folder / SUMS_FILE).read_bytes()).hexdigest()}"
+
+
+def _experiment(client: MlflowClient, uri: str, name: str) -> str:
+    from mlflow.exceptions import MlflowException
+
+    found = client.get_experiment_by_name(name)
+    if found is None:
+        database = sqlite_database(uri)
+        # A server has an artifact store of its own; for a file it is the client who chooses.
+        root = None if database is None else artifact_root(database).as_uri()
+        try:
+            return str(client.create_experiment(name, artifact_location=root))
+        except MlflowException:
+            found = client.get_experiment_by_name(name)  # another process was faster
+            if found is None:
+                raise
+    if found.lifecycle_stage != "active":
+        raise SyncError(
+            f"the experiment {name!r} is in MLflow's trash (accepted: restore it there, or name "
+            "another)",
+            tracking_uri=uri,
+        )
+    return str(found.experiment_id)
+
+
+class _Writer:
+    """Writes the runs of one result."""
+
+    def __init__(
+        self, client: MlflowClient, uri: str, experiment_id: str, result: Result, digest: str
+    ) -> None:
+        self.client = client
+        self.uri = uri
+        self.experiment_id = experiment_id
+        self.result = result
+        self.digest = digest
+        self.start = round(datetime.fromisoformat(result.created).timestamp() * 1000)
+        self.n_created = self.n_continued = self.n_unchanged = self.n_removed = 0
+
+    def write(self, contents: Sequence[RunContent]) -> str:
+        """Write all runs, the parent's first and whole last; return the parent's id."""
+        known = self._known()
+        parent, *children = contents
+        parent_id, parent_whole = self._open(parent, known, None)
+        for content in children:
+            run_id, whole = self._open(content, known, parent_id)
+            if not whole:
+                self._fill(run_id, content)
+        if not parent_whole:
+            self._fill(parent_id, parent)
+        return parent_id
+
+    def _known(self) -> dict[_Key, Run]:
+        """The result's runs that MLflow has, one for each key."""
+        known: dict[_Key, Run] = {}
+        for run in self._search():
+            tags = run.data.tags
+            key = _key(tags)
+            if key not in known:
+                known[key] = run
+                continue
+            # The answer to "create a run" was lost, and the request repeated.
+            spare = run
+            if WHOLE_TAG in tags and WHOLE_TAG not in known[key].data.tags:
+                spare, known[key] = known[key], run
+            self.client.delete_run(spare.info.run_id)
+            self.n_removed += 1
+        return known
+
+    def _search(self) -> Iterator[Run]:
+        token = None
+        while True:
+            page = self.client.search_runs(
+                [self.experiment_id],
+                filter_string=f"tags.`gvr.run_id` = '{self.result.run_id}'",
+                max_results=1000,
+                page_token=token,
+            )
+            yield from page
+            token = page.token
+            if not token:
+                return
+
+    def _open(
+        self, content: RunContent, known: dict[_Key, Run], parent_id: str | None
+    ) -> tuple[str, bool]:
+        """The id of a content's run, made where missing, and whether it is whole already."""
+        tags = dict(content.tags)
+        if parent_id is not None:
+            tags["mlflow.parentRunId"] = parent_id
+        run = known.get(_key(content.tags))
+        if run is None:
+            # With its tags from the first moment, so that it is found again whatever happens next.
+            run = self.client.create_run(
+                self.experiment_id, start_time=self.start, tags=tags, run_name=content.name
+            )
+            self.n_created += 1
+            return run.info.run_id, False
+        run_id: str = run.info.run_id
+        if parent_id is not None and run.data.tags.get("mlflow.parentRunId") != parent_id:
+            self.client.set_tag(run_id, "mlflow.parentRunId", parent_id)
+        if run.data.tags.get(WHOLE_TAG) == self.digest:
+            self.n_unchanged += 1
+            return run_id, True
+        self.n_continued += 1
+        return run_id, False
+
+    def _fill(self, run_id: str, content: RunContent) -> None:
+        from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, RunTag
+
+        client = self.client
+        params = [Param(key, value) for key, value in content.params.items()]
+        tags = [RunTag(key, value) for key, value in content.tags.items()]
+        if content.tables:
+            shown = ", ".join(f'{{"path": "{name}", "type": "table"}}' for name in content.tables)
+            tags.append(RunTag("mlflow.loggedArtifacts", f"[{shown}]"))
+        metrics = [Metric(p.key, p.value, self.start, p.step) for p in content.points]
+        for some_params in _batches(params, _ITEMS_PER_BATCH):
+            client.log_batch(run_id, params=some_params)
+        for some_tags in _batches(tags, _ITEMS_PER_BATCH):
+            client.log_batch(run_id, tags=some_tags)
+        for some_metrics in _batches(metrics, _METRICS_PER_BATCH):
+            client.log_batch(run_id, metrics=some_metrics)
+        inputs = [
+            DatasetInput(
+                Dataset(name=name, digest=digest, source_type="local", source=source),
+                [InputTag("mlflow.data.context", "evaluation")],
+            )
+            for name, digest, source in content.datasets
+        ]
+        if inputs:
+            client.log_inputs(run_id, inputs)
+        # Not log_table, which appends to a table that is there already.
+        for name, table in content.tables.items():
+            client.log_dict(run_id, table, name)
+        for name, text in content.texts.items():
+            client.log_text(run_id, text, name)
+        for path, folder in content.files:
+            client.log_artifact(run_id, str(path), folder or None)
+        end = self.start + round(content.seconds * 1000)
+        client.set_terminated(run_id, "FAILED" if content.failed else "FINISHED", end)
+        client.set_tag(run_id, WHOLE_TAG, self.digest)
+
+
+def _key(tags: Mapping[str, str]) -> _Key:
+    """Which run of a benchmark: its kind, data set, scene and method."""
+    return tuple(tags.get(name, "") for name in ("kind", "dataset", "scene", "method"))
+
+
+def _batches(items: Iterable[_T], size: int) -> Iterator[list[_T]]:
+    rest = iter(items)
+    while batch := list(islice(rest, size)):
+        yield batch

@@ -1,0 +1,76 @@
+"""A table of text, and its two faces: rich for the terminal, Markdown for the README."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+TERMINAL_WIDTH = 80
+"""Columns of the narrowest terminal that tables are made for."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table: every cell is text already."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    n_names: int
+    """Number of leading columns that hold names: aligned left, and folded where too long."""
+    notes: tuple[str, ...] = ()
+
+
+def printable(text: str) -> str:
+    """The text without line breaks and control characters, which could rewrite a terminal."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
+def to_rich(sheet: Sheet) -> RenderableType:
+    """The sheet for a terminal; at most `TERMINAL_WIDTH` columns wide."""
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        show_edge=False,
+    )
+    for i, name in enumerate(sheet.columns):
+        is_name = i < sheet.n_names
+        table.add_column(
+            Text(printable(name)),
+            justify="left" if is_name else "right",
+            overflow="fold",
+            no_wrap=False,
+            min_width=None if is_name else _number_width(sheet, i),
+        )
+    for row in sheet.rows:
+        table.add_row(*(Text(printable(cell)) for cell in row))
+    notes = [Text(printable(note), style="dim") for note in sheet.notes]
+    # Not the table's own title, which would be folded to the table's width.
+    return Group(Text(printable(sheet.title), style="bold"), table, *notes, Text(""))
+
+
+def _number_width(sheet: Sheet, column: int) -> int:
+    # Numbers never fold; when there is too little room, it is the names that do.
+    return max((len(row[column]) for row in sheet.rows), default=1)
+
+
+def to_markdown(sheet: Sheet) -> str:
+    """The sheet as a Markdown table with its title in bold above and its notes below."""
+    rule = [":---" if i < sheet.n_names else "---:" for i in range(len(sheet.columns))]
+    lines = [f"**{_escape(sheet.title)}**", ""]
+    for cells in (sheet.columns, rule, *sheet.rows):
+        shown = cells if cells is rule else [_escape(cell) for cell in cells]
+        lines.append(f"| {' | '.join(shown)} |")
+    for note in sheet.notes:
+        lines += ["", _escape(note)]
+    return "\n".join(lines) + "\n"
+
+
+def _escape(text: str) -> str:
+    # What a scene or a method is called must not become a link, a heading or another column.
+    return re.sub(r"([\\|*_`<>\[\]])", r"\\\1", printable(text))

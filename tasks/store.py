@@ -1,0 +1,86 @@
+"""The artifact store: objects by content, and records of what stages computed.
+
+Layout under the root::
+
+    objects/ab/<sha256><suffix>   immutable content, read-only
+    records/<stage>/<key>.json    one `StageRecord` for each cache key
+    locks/<key>.lock              held while a key is computed; locks/store.lock by writers
+    tmp/                          files being written
+    damaged/                      objects whose content was found wrong
+    prefect-results/              what Prefect keeps about the stage tasks (JSON)
+
+It knows nothing of Prefect: `Store.compute_once` is all that a library user needs::
+
+    store = Store()
+    key = stage_key("depth", 1, {"scene": scene.digest}, {"views": 6})
+    record, computed = store.compute_once("depth", 1, key, lambda: {"book": store.put_arrays(...)})
+    arrays = store.load_arrays(record.artifacts["book"])
+"""
+
+from __future__ import annotations
+
+from gvr_core.errors import StoreError
+from tasks.files import digest_file
+from tasks.record_store import LookupCounts, RecordStore, StageFunction, StageOutput
+from tasks.records import Artifact, StageRecord, canonical_json, stage_key
+from tasks.upkeep import (
+    GRACE_SECONDS,
+    GcReport,
+    Listing,
+    VerifyReport,
+    collect_garbage,
+    list_records,
+    verify_everything,
+)
+
+__all__ = [
+    "Artifact",
+    "GcReport",
+    "Listing",
+    "LookupCounts",
+    "StageFunction",
+    "StageOutput",
+    "StageRecord",
+    "Store",
+    "StoreError",
+    "VerifyReport",
+    "canonical_json",
+    "digest_file",
+    "stage_key",
+]
+
+
+class Store(RecordStore):
+    """The whole store: objects, records, and their upkeep.
+
+    Args:
+        root: The store's folder; else the environment variable GVR_STORE, else ``.gvr/store``
+            under the current folder. Made at the first write.
+    """
+
+    def ls(self, stage: str | None = None) -> Listing:
+        """The records, newest first, of one stage or of all."""
+        return list_records(self, stage)
+
+    def verify(self) -> VerifyReport:
+        """Hash every object that a record names, and count those that none names."""
+        return verify_everything(self)
+
+    def gc(
+        self,
+        keep_days: float | None = None,
+        *,
+        dry_run: bool = False,
+        grace_seconds: float = GRACE_SECONDS,
+    ) -> GcReport:
+        """Remove what no record refers to; see `tasks.upkeep.collect_garbage`.
+
+        Args:
+            keep_days: Also remove records not used for so many days; None keeps all records.
+            dry_run: Only say what would be removed.
+            grace_seconds: Spare anything younger, as a running stage may not have recorded it.
+
+        Raises:
+            StoreError: A negative number.
+        """
+        return collect_garbage(self, keep_days, dry_run=dry_run, grace_seconds=grace_seconds)
