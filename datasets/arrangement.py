@@ -48,9 +48,10 @@ class Item:
         """(8, 3) corners of the turned thing, standing on the ground, centred over the origin."""
         w, d, h = self.size
         unit_cube = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0, 1)])
-        turned = unit_cube * (w, d, h) @ self.rotation.T
+        turned: Float64Array = unit_cube * (w, d, h) @ self.rotation.T
         middle = (turned.min(axis=0) + turned.max(axis=0)) / 2
-        return turned - np.array([middle[0], middle[1], turned[:, 2].min()])
+        standing: Float64Array = turned - np.array([middle[0], middle[1], turned[:, 2].min()])
+        return standing
 
 
 def arrange(
@@ -66,8 +67,8 @@ def arrange(
     Returns:
         (n, 2) position x, y of each thing's middle.
     """
-    boxes = [item.corners() for item in items]
-    radii = np.array([np.linalg.norm(box[:, :2], axis=1).max() for box in boxes])
+    boxes = np.stack([item.corners() for item in items])
+    radii = np.linalg.norm(boxes[..., :2], axis=-1).max(axis=1)
     best, least, failed = np.zeros((len(items), 2)), np.inf, 0
     for _ in range(CANDIDATES):
         places = None
@@ -99,30 +100,34 @@ def _scatter(
     return places
 
 
-def _hidden(
-    boxes: Sequence[Float64Array], places: Float64Array, cameras: Sequence[Camera]
-) -> float:
+def _hidden(boxes: Float64Array, places: Float64Array, cameras: Sequence[Camera]) -> float:
     """How much of the things' picture rectangles is covered or cut off, over cameras and things.
 
     Half of the sum is the worst thing's share, so that none is hidden for the sake of the rest.
+
+    Args:
+        boxes: (n, 8, 3) corners over the origin.
+        places: (n, 2) where the things stand.
+        cameras: The views.
     """
-
-    def area(r: Float64Array) -> Float64Array:
-        sides: Float64Array = r[..., 2:] - r[..., :2]
-        return np.asarray(sides.prod(axis=-1))
-
+    standing = boxes.copy()
+    standing[..., :2] += places[:, None]
     shares = np.zeros(len(boxes))
     for camera in cameras:
-        rectangles, depths = [], []
-        for box, place in zip(boxes, places, strict=True):
-            pixels, depth = camera.project(box + np.array([*place, 0.0]))
-            rectangles.append([*pixels.min(axis=0), *pixels.max(axis=0)])
-            depths.append(depth.mean())
-        r = np.array(rectangles)
-        low = np.maximum(r[:, None, :2], r[None, :, :2])
-        high = np.minimum(r[:, None, 2:], r[None, :, 2:])
-        overlap = area(np.concatenate([low, np.maximum(low, high)], axis=-1))
-        outside = area(r) - area(np.clip(r, 0, [camera.width, camera.height] * 2))
-        behind = np.array(depths)[:, None] > np.array(depths)[None, :]
-        shares += ((overlap * behind).sum(axis=1) + outside) / area(r)
+        pixels, depth = camera.project(standing)
+        seen = np.concatenate([pixels.min(axis=1), pixels.max(axis=1)], axis=1)
+        size = _area(seen)
+        outside = size - _area(np.clip(seen, 0, [camera.width, camera.height] * 2))
+        low = np.maximum(seen[:, None, :2], seen[None, :, :2])
+        high = np.minimum(seen[:, None, 2:], seen[None, :, 2:])
+        overlap = _area(np.concatenate([low, np.maximum(low, high)], axis=-1))
+        middle = depth.mean(axis=1)
+        behind = middle[:, None] > middle[None, :]
+        shares += ((overlap * behind).sum(axis=1) + outside) / size
     return float(shares.sum() / 2 + shares.max() / 2 * len(boxes))
+
+
+def _area(rectangles: Float64Array) -> Float64Array:
+    """Area of rectangles (..., 4) x0 y0 x1 y1."""
+    sides = rectangles[..., 2:] - rectangles[..., :2]
+    return np.asarray(sides[..., 0] * sides[..., 1])

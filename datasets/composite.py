@@ -14,7 +14,7 @@ import numpy as np
 
 from datasets.base import SceneData
 from datasets.layout import GroundTable, Layout, ObjectTable, read_layout
-from datasets.making import made_once, recipe_digest, slug, take_pictures
+from datasets.making import RENDERER, made_once, recipe_digest, slug, take_pictures
 from datasets.native import file_digest, read_scene, write_scene
 from datasets.photographs import read_texture, wood
 from datasets.surfaces import rectangle
@@ -55,7 +55,12 @@ class CompositeDataset:
         self._layouts = {path.stem: path for path in sorted(layouts.glob("*.toml"))}
 
     def scenes(self) -> Sequence[str]:
-        """Names of the scenes, in alphabetical order."""
+        """Names of the scenes, in alphabetical order.
+
+        Raises:
+            DatasetError: if there is no folder of splats: a run ends before it begins.
+        """
+        splats_folder(self._splats)
         return tuple(self._layouts)
 
     def load(self, scene: str) -> SceneData:
@@ -71,7 +76,10 @@ class CompositeDataset:
         layout = read_layout(self._layouts[scene])
         files = {item.file: _splat(self._splats, item.file) for item in layout.objects}
         digests = {name: file_digest(path) for name, path in files.items()}
-        recipe = recipe_digest("composite", VERSION, layout.model_dump(mode="json"), digests)
+        renderer = get_renderer(RENDERER)
+        recipe = recipe_digest(
+            "composite", VERSION, renderer.name, layout.model_dump(mode="json"), digests
+        )
         folder = self._root / scene
 
         def make() -> None:
@@ -133,7 +141,7 @@ def make_scene(
         dataset="composite",
         name=name,
         gaussians=gaussians,
-        pictures=take_pictures(get_renderer("numba"), gaussians, labels, objects, cameras, tests),
+        pictures=take_pictures(get_renderer(RENDERER), gaussians, labels, objects, cameras, tests),
         objects=objects,
         labels=labels,
         queries=queries(layout),
@@ -157,7 +165,8 @@ def place(gaussians: Gaussians, item: ObjectTable, path: Path) -> Gaussians:
     """
     if item.keep_within is not None:
         low, high = (np.asarray(corner, np.float32) for corner in item.keep_within)
-        kept = ((gaussians.means >= low) & (gaussians.means <= high)).all(axis=1)
+        inside = (gaussians.means >= low) & (gaussians.means <= high)
+        kept = np.asarray(inside.all(axis=1))
         if not kept.any():
             raise DatasetError(
                 "no Gaussian lies inside keep_within", path=path, accepted="a larger box"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from datasets.arrangement import Item, arrange
 from datasets.base import SceneData
-from datasets.making import made_once, orbit_camera, recipe_digest, slug, take_pictures
+from datasets.making import RENDERER, made_once, orbit_camera, recipe_digest, slug, take_pictures
 from datasets.native import read_scene, write_scene
 from datasets.photographs import PHOTOGRAPHS, Photograph, read_photograph, read_texture, wood
 from datasets.surfaces import box, rectangle
@@ -94,7 +94,8 @@ class GalleryDataset:
             raise unknown_name("scene of gallery", scene, self._seeds)
         seed = self._seeds[scene]
         folder = self._root / scene
-        recipe = recipe_digest("gallery", VERSION, seed)
+        renderer = get_renderer(RENDERER)
+        recipe = recipe_digest("gallery", VERSION, renderer.name, seed)
         made_once(folder, recipe, lambda: make_scene(folder, scene, seed, recipe))
         return read_scene(folder, self.name, scene)
 
@@ -115,7 +116,7 @@ def make_scene(folder: Path, name: str, seed: int, recipe: str = "") -> None:
         name=name,
         gaussians=made.gaussians,
         pictures=take_pictures(
-            get_renderer("numba"),
+            get_renderer(RENDERER),
             made.gaussians,
             made.labels,
             made.objects,
@@ -223,7 +224,7 @@ def _room(rng: np.random.Generator) -> Gaussians:
 
 def _cameras() -> tuple[dict[str, Camera], tuple[str, ...]]:
     """24 knowledge views in three rows over the front, and 4 test views at angles in between."""
-    poses = {}
+    poses: dict[str, tuple[float, float, float]] = {}
     for row, (pitch, radius) in enumerate(((20.0, 2.6), (34.0, 2.5), (50.0, 2.5))):
         for column in range(8):
             yaw = -56 + 16 * column + (0, 5, -5)[row]

@@ -19,6 +19,9 @@ from gvr_core.cameras import Camera, intrinsics, look_at
 from gvr_core.gaussians import Gaussians
 from gvr_core.rendering.base import Renderer
 
+RENDERER = "numba"
+"""Draws the pictures and the masks; another version of it makes the scenes anew."""
+
 VISIBLE = 0.5
 """A pixel belongs to an object that makes up more than this part of its colour."""
 

@@ -26,7 +26,7 @@ from PIL import Image
 
 from datasets.base import GroundTruth, SceneData
 from datasets.colmap import read_colmap_model
-from datasets.images import FORMATS, read_mask
+from datasets.images import read_mask
 from datasets.native_records import (
     MODEL,
     PLY,
@@ -42,6 +42,9 @@ from gvr_core.scene import Scene, View
 from gvr_core.splat_io import read_ply
 
 __all__ = ["Picture", "file_digest", "read_recipe", "read_scene", "write_scene"]
+
+FORMATS = ("PNG", "JPEG")
+"""What the pictures of a scene may be, by Pillow's names; the writer makes PNG."""
 
 
 def read_scene(folder: Path, dataset: str | None = None, name: str | None = None) -> SceneData:

@@ -59,7 +59,7 @@ def write_scene(
     objects: Sequence[str],
     labels: NDArray[np.int16],
     queries: Sequence[Query],
-    up: Sequence[float],
+    up: tuple[float, float, float],
     provenance: str,
     recipe: str = "",
     replace: bool = False,
@@ -89,7 +89,7 @@ def write_scene(
     record = SceneFile(
         dataset=dataset,
         name=name,
-        up=tuple(float(x) for x in up),
+        up=up,
         objects=tuple(objects),
         test_views=tuple(p.name for p in pictures if p.masks is not None),
         provenance=provenance,

@@ -23,8 +23,8 @@ would cost a hundred times as much and show no other objects."""
 
 
 def own_scene(
-    splat: Path,
-    cameras: Path,
+    splat: Path | str,
+    cameras: Path | str,
     texts: Sequence[str],
     max_views: int | None = None,
     max_side: int = MAX_SIDE,
@@ -41,8 +41,11 @@ def own_scene(
     Raises:
         SplatFormatError: for the splat file.
         CameraFormatError: for the cameras.
-        ConfigError: for an empty question.
+        ConfigError: for an empty question, or no view to keep.
     """
+    if max_views is not None and max_views < 1:
+        raise ConfigError(f"--max-views is {max_views}", accepted="1 or more")
+    splat, cameras = Path(splat), Path(cameras)
     gaussians = read_splat(splat)
     named = read_cameras(cameras)
     if not named:

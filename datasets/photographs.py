@@ -9,12 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-import skimage.data
 from numpy.typing import NDArray
 from PIL import Image
-from sklearn.datasets import load_sample_image
 
 RGB8 = NDArray[np.uint8]
 
@@ -145,7 +142,7 @@ def read_texture(name: str, tint: tuple[float, float, float], contrast: float = 
     if name == "brick":
         grey = grey.T  # the courses run from top to bottom in the picture
     relative = 1 + contrast * (grey / grey.mean() - 1)
-    return np.clip(np.rint(255 * relative[..., None] * np.asarray(tint)), 0, 255).astype(np.uint8)
+    return _to_bytes(relative[..., None] * np.asarray(tint))
 
 
 def wood(rng: np.random.Generator, tint: tuple[float, float, float]) -> RGB8:
@@ -169,17 +166,30 @@ def wood(rng: np.random.Generator, tint: tuple[float, float, float]) -> RGB8:
     boards = 1 + 0.08 * np.sin(12.9898 * np.floor(5 * y) + 1)
     seam = np.where((5 * y) % 1 < 0.03, 0.55, 1.0)
     shade = (0.82 + 0.3 * rings) * boards * seam * rng.normal(1, 0.03, y.shape)
-    return np.clip(np.rint(255 * shade[..., None] * np.asarray(tint)), 0, 255).astype(np.uint8)
+    return _to_bytes(shade[..., None] * np.asarray(tint))
+
+
+def _to_bytes(colours: NDArray[np.float64]) -> RGB8:
+    """Colours in [0, 1] as bytes; what lies outside is clipped."""
+    pixels: RGB8 = np.rint(255 * np.clip(colours, 0, 1)).astype(np.uint8)
+    return pixels
 
 
 def _read(source: str) -> NDArray[np.uint8]:
     """A whole picture by its source: (H, W) or (H, W, 3) uint8."""
     package, _, name = source.partition(":")
+    # imported here: together they take seconds, and only making a scene needs them
     if package == "sklearn":
+        from sklearn.datasets import load_sample_image
+
         return np.asarray(load_sample_image(name))
     if package == "matplotlib":
+        import matplotlib
+
         path = Path(matplotlib.get_data_path()) / "sample_data" / name
         with Image.open(path) as picture:
             return np.asarray(picture.convert("RGB"))
+    import skimage.data
+
     read = getattr(skimage.data, name)()
     return np.asarray(read[0] if isinstance(read, tuple) else read)

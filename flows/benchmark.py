@@ -11,8 +11,8 @@ from typing import Any
 
 from prefect import flow
 
-from flows.scene import SceneOutcome, resolve_scenes, scene_flow
-from flows.suite import SuiteConfig
+from flows.scene import SceneOutcome, scene_flow
+from flows.suite import SuiteConfig, resolve_scenes
 from reports.environment import describe_environment
 from reports.record import Result, Row
 from reports.result_io import new_run_id, write_result

@@ -8,9 +8,11 @@ from pathlib import Path
 from rich.console import Console, RenderableType
 from rich.table import Table
 
+from datasets.own import own_scene
 from flows.places import home
-from flows.suite import SuiteConfig, override, read_suite
+from flows.suite import override, read_suite, resolve_scenes
 from gvr_core.errors import unknown_name
+from gvr_core.methods import check_method
 from reports import tables
 from reports.mlflow_store import SyncError, default_tracking_uri
 from reports.record import Result
@@ -43,7 +45,7 @@ def run(
         Exit code: 0; 1 where a scene failed; 2 where it failed for something the user gave.
     """
     suite = override(read_suite(suite_name), methods, datasets, scenes, limit)
-    _check(suite)
+    resolve_scenes(suite.datasets)
 
     from flows.benchmark import run_benchmark
     from tasks.prefect_runtime import prefect_runtime
@@ -59,19 +61,6 @@ def run(
     if not outcome.failed:
         return 0
     return 2 if outcome.bad_input else 1
-
-
-def _check(suite: SuiteConfig) -> None:
-    """Refuse what cannot run before a server is started for it."""
-    from datasets.registry import get_dataset
-    from gvr_core.models.registry import check_models
-
-    check_models(suite.models)
-    for choice in suite.datasets:
-        known = get_dataset(choice.name, choice.settings).scenes()
-        for scene in choice.scenes or ():
-            if scene not in known:
-                raise unknown_name(f"scene of {choice.name}", scene, known)
 
 
 def print_tables(result: Result, rows: Sequence[object]) -> None:
@@ -97,11 +86,14 @@ def ground(
     progress: bool,
 ) -> None:
     """``gvr ground``: one scene of one's own."""
+    data = own_scene(splat, cameras, texts, max_views)
+    check_method(method)
+
     from flows.own import ground_own
     from tasks.prefect_runtime import prefect_runtime
 
     with prefect_runtime(Store(store), home=home() / "prefect"):
-        answers = ground_own(splat, cameras, texts, method, out, max_views, store, progress)
+        answers = ground_own(data, method, out, store, progress)
     table = Table("query", "found", "Gaussians", "location", "files", box=None)
     for answer in answers:
         place = "-" if answer.location is None else " ".join(f"{x:.3g}" for x in answer.location)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,8 +14,8 @@ from datasets.registry import get_dataset
 from flows.progress import Progress
 from flows.suite import DatasetChoice, SuiteConfig
 from gvr_core.errors import InputError
-from gvr_core.methods import MethodConfig, Toolbox
-from gvr_core.models.registry import build_models
+from gvr_core.methods import MethodConfig, Toolbox, check_method
+from gvr_core.models.registry import ModelConfig, build_models
 from gvr_core.rendering import get_renderer
 from gvr_core.scene import Query
 from reports.record import QueryOutcome, Row, SceneResult, StageTiming
@@ -41,34 +40,37 @@ class SceneOutcome:
 
 def make_job(
     data: SceneData,
-    suite: SuiteConfig,
     method: MethodConfig,
     store: Store,
+    models: ModelConfig | None = None,
+    renderer: str = "numba",
+    limit: int | None = None,
     progress: Progress | None = None,
 ) -> SceneJob:
     """One method on one scene, with its models and renderer.
 
     Args:
         data: The scene.
-        suite: The benchmark's configuration.
         method: The method.
         store: Where results of stages lie.
+        models: Which models; a method that demands its own encoder gets that.
+        renderer: Name of the renderer.
+        limit: Only the first so many queries; None for all.
         progress: Shows progress bars; None shows none.
 
     Raises:
-        ConfigError: for models that are not known.
+        ConfigError: for a method, model or renderer that is not known.
         ModelError: for weights that are missing or wrong.
     """
-    config = suite.models
+    check_method(method.method)
+    models = models or ModelConfig()
     if method.encoder_override:
-        config = config.model_copy(update={"encoder": method.encoder_override})
-    tools = Toolbox(get_renderer(suite.renderer), build_models(config))
-    queries = data.queries[: suite.limit] if suite.limit else data.queries
-    job = SceneJob(store, data, queries, method, tools)
-    if progress is None:
-        return job
+        models = models.model_copy(update={"encoder": method.encoder_override})
+    tools = Toolbox(get_renderer(renderer), build_models(models))
     label = f"{data.scene.dataset}/{data.scene.name} · {method.shown_name}"
-    return SceneJob(store, data, queries, method, tools, partial(progress.track, label=label))
+    bars = progress or Progress(shown=False)
+    track = partial(bars.track, label=label)
+    return SceneJob(store, data, data.queries[:limit], method, tools, track)
 
 
 def run_stages(job: SceneJob) -> dict[str, StageRun]:
@@ -150,7 +152,7 @@ def run_method(
         The outcome; a failure is an outcome too, with the error's text.
     """
     try:
-        job = make_job(data, suite, method, store, progress)
+        job = make_job(data, method, store, suite.models, suite.renderer, suite.limit, progress)
         runs = run_stages(job)
         return _outcome(job, runs)
     except Exception as error:
@@ -247,21 +249,3 @@ def file_name(name: str) -> str:
     """A name with everything but letters, digits, dots and dashes replaced."""
     safe = "".join(c if c.isalnum() or c in ".-" else "_" for c in name)
     return safe.strip(".") or "_"
-
-
-def resolve_scenes(choices: Sequence[DatasetChoice]) -> list[tuple[str, str]]:
-    """All (data set, scene) pairs of a suite, checked before anything runs.
-
-    Raises:
-        ConfigError: for a scene that the data set does not have.
-    """
-    from gvr_core.errors import unknown_name
-
-    pairs = []
-    for choice in choices:
-        known = list(get_dataset(choice.name, choice.settings).scenes())
-        for scene in known if choice.scenes is None else choice.scenes:
-            if scene not in known:
-                raise unknown_name(f"scene of {choice.name}", scene, known)
-            pairs.append((choice.name, scene))
-    return pairs

@@ -10,10 +10,10 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from datasets.registry import check_dataset
+from datasets.registry import check_dataset, get_dataset
 from gvr_core.errors import ConfigError, unknown_name
 from gvr_core.methods import MethodConfig, check_method
-from gvr_core.models.registry import ModelConfig
+from gvr_core.models.registry import ModelConfig, check_models
 from gvr_core.rendering import get_renderer
 
 DEFAULT_SUITE = "bench"
@@ -53,6 +53,7 @@ class SuiteConfig(BaseModel):
             check_dataset(dataset.name)
         for method in self.methods:
             check_method(method.method)
+        check_models(self.models)
         get_renderer(self.renderer)
         shown = [method.shown_name for method in self.methods]
         twice = sorted({name for name in shown if shown.count(name) > 1})
@@ -147,6 +148,23 @@ def override(
             raise ConfigError(f"--limit is {limit}", accepted="1 or more")
         changes["limit"] = limit
     return suite.model_copy(update=changes)
+
+
+def resolve_scenes(choices: Sequence[DatasetChoice]) -> list[tuple[str, str]]:
+    """All (data set, scene) pairs of a suite.
+
+    Raises:
+        ConfigError: for a scene that the data set does not have.
+        DatasetError: for a folder without scenes.
+    """
+    pairs = []
+    for choice in choices:
+        known = list(get_dataset(choice.name, choice.settings).scenes())
+        for scene in known if choice.scenes is None else choice.scenes:
+            if scene not in known:
+                raise unknown_name(f"scene of {choice.name}", scene, known)
+            pairs.append((choice.name, scene))
+    return pairs
 
 
 def _first_problem(error: ValidationError, path: Path) -> ConfigError:

@@ -43,7 +43,7 @@ BoolArray = NDArray[np.bool_]
 def iou(prediction: BoolArray, truth: BoolArray) -> float:
     """Intersection over union of two boolean arrays of one shape; 0 where both are empty."""
     union = np.count_nonzero(prediction | truth)
-    return np.count_nonzero(prediction & truth) / union if union else 0.0
+    return float(np.count_nonzero(prediction & truth) / union) if union else 0.0
 
 
 def truth_box(truth: BoolArray) -> tuple[int, int, int, int]:
@@ -128,12 +128,12 @@ def flags_3d(
         means: (N, 3) centres of all Gaussians.
         location: (3,) L_3D, or None; then ``within_radius`` is 0 and the error is left out.
     """
-    hits = np.count_nonzero(flags & truth)
-    predicted = np.count_nonzero(flags)
+    hits = int(np.count_nonzero(flags & truth))
+    predicted = int(np.count_nonzero(flags))
     values = {
         "iou": iou(flags, truth),
         "precision": hits / predicted if predicted else 0.0,
-        "recall": hits / np.count_nonzero(truth),
+        "recall": hits / int(np.count_nonzero(truth)),
         "within_radius": 0.0,
     }
     if location is not None:

@@ -70,9 +70,9 @@ def safe_key(name: str) -> str:
     """A name that MLflow takes; one that had to change ends in four digits of its hash."""
     parts = re.sub(r"[^\w\-. :/]", "_", name, flags=re.ASCII).split("/")
     safe = "/".join(part for part in parts if part not in ("", ".", "..")).lstrip(".")
-    if safe == name and len(safe) <= MAX_KEY:
+    if safe and safe == name and len(safe) <= MAX_KEY:
         return safe
-    return f"{safe[: MAX_KEY - 5]}.{hashlib.sha256(name.encode()).hexdigest()[:4]}"
+    return f"{safe[: MAX_KEY - 5] or 'unnamed'}.{hashlib.sha256(name.encode()).hexdigest()[:4]}"
 
 
 def safe_value(value: Any) -> str:

@@ -9,9 +9,10 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 from urllib.error import URLError
 from urllib.request import ProxyHandler, build_opener
 
@@ -75,15 +76,51 @@ def serve_ui(
     port: int = 5000,
     host: str = "127.0.0.1",
     store: LocalStore | None = None,
+    announce: Callable[[str], None] = print,
+) -> None:
+    """Show MLflow's pages over a store until Ctrl-C or SIGTERM, then end the server.
+
+    Args:
+        port: As for `start_server`.
+        host: As for `start_server`.
+        store: As for `start_server`.
+        announce: Called once with the address, when the pages answer.
+
+    Raises:
+        ConfigError: as `start_server` does.
+        SyncError: as `start_server` does.
+        ServerError: as `start_server` does, and if the server ends by itself.
+    """
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    # Without a handler, SIGTERM would end this process alone and leave the server behind.
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        with start_server(port, host, store) as server:
+            announce(server.url)
+            code = server.wait()
+            raise ServerError(f"the MLflow server ended with code {code}: {_tail(server)}")
+    except KeyboardInterrupt:
+        return
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def start_server(
+    port: int = 5000,
+    host: str = "127.0.0.1",
+    store: LocalStore | None = None,
     start_seconds: float = START_SECONDS,
 ) -> MlflowServer:
-    """Start MLflow's pages over a store, and wait until they answer.
+    """Start a server of MLflow's pages over a store, and wait until they answer.
 
     Args:
         port: TCP port; 0 takes any free one.
         host: A loopback address. MLflow asks nobody for a password, and whoever reaches it may
             delete runs.
-        store: The store; default: that of the working folder. It is created where missing.
+        store: The store; default: the project's own. It is created where missing.
         start_seconds: How long to wait for the first answer.
 
     Raises:

@@ -68,6 +68,20 @@ class SyncReport:
     """Values that were not finite."""
     seconds: float
 
+    def __str__(self) -> str:
+        total = self.n_created + self.n_continued + self.n_unchanged
+        parts = [f"{self.n_created} new", f"{self.n_unchanged} there already"]
+        if self.n_continued:
+            parts.append(f"{self.n_continued} continued")
+        if self.n_removed:
+            parts.append(f"{self.n_removed} doubles removed")
+        if self.n_left_out:
+            parts.append(f"{self.n_left_out} values not finite, left out")
+        return (
+            f"{total} runs ({', '.join(parts)}) in experiment {self.experiment} of "
+            f"{self.tracking_uri}, {self.seconds:.1f} s"
+        )
+
 
 def sync(
     result_folder: Path, tracking_uri: str | None = None, experiment: str = EXPERIMENT
@@ -77,7 +91,7 @@ def sync(
     Args:
         result_folder: A folder that `write_result` made.
         tracking_uri: As MLflow takes it; default: the user's ``MLFLOW_TRACKING_URI``, else the
-            local store of the working folder.
+            project's local store.
         experiment: Name of the experiment; made where missing.
 
     Raises:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 EXPERIMENT = "gvr-bench"
 """The experiment that runs go to by default."""
 
-_PRIVATE = {"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": "true"}
+_PRIVATE = {"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": os.environ.get("DO_NOT_TRACK", "1")}
 # One retry and five seconds: an outage costs seconds. MLflow's own defaults cost minutes, and a
 # server that asks for a pause of an hour would get it.
 _IMPATIENT = {
@@ -69,14 +69,15 @@ class LocalStore:
         return self.folder.resolve() / "artifacts"
 
 
-def local_store(project: Path | None = None) -> LocalStore:
-    """The store of a project (default: the working folder), in ``.gvr/mlflow``."""
-    return LocalStore((Path.cwd() if project is None else project) / ".gvr" / "mlflow")
+def local_store(home: Path | None = None) -> LocalStore:
+    """The store in a project's home; default: ``GVR_HOME``, else ``.gvr`` in the working folder."""
+    folder = Path(os.environ.get("GVR_HOME") or ".gvr") if home is None else home
+    return LocalStore(folder / "mlflow")
 
 
-def default_tracking_uri(project: Path | None = None) -> str:
+def default_tracking_uri(home: Path | None = None) -> str:
     """The user's own ``MLFLOW_TRACKING_URI``, else the project's local store."""
-    return os.environ.get("MLFLOW_TRACKING_URI") or local_store(project).uri
+    return os.environ.get("MLFLOW_TRACKING_URI") or local_store(home).uri
 
 
 def quiet_environment() -> dict[str, str]:

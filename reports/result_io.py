@@ -152,7 +152,9 @@ def _parse_json(path: Path, text: str, line: int | None = None) -> Any:
         return json.loads(text, parse_constant=refuse)
     except json.JSONDecodeError as error:
         place = f"line {error.lineno if line is None else line}, column {error.colno}"
-        raise ResultError(f"not JSON: {error.msg}", path=path, place=place) from error
+        raise ResultError(
+            f"not JSON: {error.msg}", path=path, place=place, accepted="one whole JSON object"
+        ) from error
     except (ValueError, RecursionError) as error:
         raise ResultError(
             f"not JSON: {error}",

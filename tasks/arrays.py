@@ -65,7 +65,8 @@ class StoredArrays(Mapping[str, NDArray[Any]]):
 
     def __init__(self, path: Path) -> None:
         try:
-            self._file = safe_open(str(path), framework="numpy")
+            opened: Any = safe_open
+            self._file: Any = opened(str(path), framework="numpy")
             self._names = sorted(self._file.keys())
         except (SafetensorError, OSError) as error:
             raise StoreError(f"{path}: not a safetensors file: {error}") from error
@@ -73,7 +74,8 @@ class StoredArrays(Mapping[str, NDArray[Any]]):
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self._names:
             raise KeyError(name)
-        return self._file.get_tensor(name)
+        array: NDArray[Any] = self._file.get_tensor(name)
+        return array
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._names)

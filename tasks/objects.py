@@ -23,7 +23,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue, ValidationError
 
@@ -239,7 +238,7 @@ class ObjectStore:
 
     def load_arrays(
         self, artifact: Artifact, names: Iterable[str] | None = None
-    ) -> dict[str, NDArray[np.generic]]:
+    ) -> dict[str, NDArray[Any]]:
         """Read named arrays.
 
         Args:

@@ -96,6 +96,6 @@ def _message(record: StageRecord, computed: bool) -> str:
     if not computed:
         return "in the store"
     return (
-        f"{len(record.artifacts)} artifacts, {record.bytes / 1e6:.1f} MB,"
+        f"{len(record.artifacts)} artifacts, {record.total_bytes / 1e6:.1f} MB,"
         f" {record.seconds:.1f} s, peak {record.peak_bytes / 1e6:.0f} MB"
     )

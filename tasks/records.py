@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from gvr_core.errors import StoreError
 
-RECORD_SCHEMA = 1
+RECORD_SCHEMA: Literal[1] = 1
 """Layout of `StageRecord`; a record with another number is not read."""
 
 DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -76,7 +76,7 @@ class StageRecord(BaseModel):
         return hashlib.sha256(canonical_json(named)).hexdigest()
 
     @property
-    def bytes(self) -> int:
+    def total_bytes(self) -> int:
         """Size of all artifacts together."""
         return sum(artifact.bytes for artifact in self.artifacts.values())
 

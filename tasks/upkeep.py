@@ -128,7 +128,7 @@ def list_records(store: RecordStore, stage: str | None = None) -> Listing:
                 seconds=record.seconds,
                 cpu_seconds=record.cpu_seconds,
                 peak_bytes=record.peak_bytes,
-                bytes=record.bytes,
+                bytes=record.total_bytes,
                 artifacts=len(record.artifacts),
             )
         )

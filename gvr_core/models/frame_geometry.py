@@ -25,6 +25,10 @@ BEHIND_SHARE = 0.02
 """At most this share lies behind a support plane. This is what tells the ground and the walls,
 which end the scene, from the flat faces of things, which have something behind them."""
 
+PEAK_SHARE = 0.5
+"""At least this part of a plane's points lies within a third of its tolerance. A slice through
+something round fills its tolerance evenly, and has a third there."""
+
 _TOLERANCE = 0.01
 """First tolerance of a plane's distance, relative to depth."""
 _TOLERANCE_RANGE = (0.0015, 0.012)
@@ -131,6 +135,9 @@ def _support_plane(
         inliers = (np.abs(residual) < _TOLERANCE) & free
         if inliers.sum() < 3:
             return None
+    inner = np.abs(residual[inliers]) < _TOLERANCE / 3
+    if inner.mean() < PEAK_SHARE:
+        return None
     spread = 1.4826 * float(np.median(np.abs(residual[inliers])))
     tolerance = float(np.clip(4 * spread, *_TOLERANCE_RANGE))
     safe_depth = np.where(shown, depth, 1.0)

@@ -18,9 +18,14 @@ from gvr_core.models.base import BoolArray, Frame, Mask
 from gvr_core.models.frame_geometry import FrameGeometry, frame_geometry
 from gvr_core.models.outlines import Outline, outline_of
 from gvr_core.models.regions import LabelArray, Region, regions_of
+from gvr_core.models.things import merge_things
 
 _REMEMBERED = 4
 """Frames whose masks are kept: prompts come in a row for one picture."""
+
+
+_BOX_MARGIN = 0.1
+"""Boxes whose overlaps with a prompt differ by less than this are equally good."""
 
 
 class GraphSettings(BaseModel):
@@ -40,6 +45,8 @@ class GraphSettings(BaseModel):
     geometry_scales: tuple[float, ...] = (1000.0, 10000.0)
     """The same for disparity and support planes. Colour has no say there, so that things with a
     busy surface stay whole."""
+    gap_limit: float = Field(default=0.5, ge=0)
+    """Surfaces whose gap in depth is less than this part of their size make one thing."""
     object_share: float = Field(default=0.7, gt=0, le=1)
     """A point prompt takes nothing larger than this share of the picture for a thing."""
     point_slack: float = Field(default=0.015, ge=0, le=0.2)
@@ -125,6 +132,9 @@ class GraphSegmenter:
     def in_box(self, frame: Frame, box: tuple[float, float, float, float]) -> Mask:
         """The mask whose own box overlaps the given one best.
 
+        Of masks that do so nearly as well (a thing and, say, the patch of ground around it) a
+        thing goes first, then the largest.
+
         Args:
             frame: The picture.
             box: (x0, y0, x1, y1) in pixels.
@@ -132,11 +142,13 @@ class GraphSegmenter:
         Returns:
             The mask; empty, with score 0, where none overlaps the box.
         """
-        masks = self.automatic(frame)
-        overlaps = [_box_iou(mask.box, box) for mask in masks]
-        if not masks or max(overlaps) <= 0:
+        proposals = self._proposals(frame)
+        overlaps = [_box_iou(p.mask.box, box) for p in proposals]
+        top = max(overlaps, default=0.0)
+        if top <= 0:
             return Mask(np.zeros(frame.depth.shape, np.bool_), 0.0)
-        return masks[int(np.argmax(overlaps))]
+        close = [p for p, o in zip(proposals, overlaps, strict=True) if o >= top - _BOX_MARGIN]
+        return max(close, key=lambda p: (p.is_thing, p.mask.area)).mask
 
     def _proposals(self, frame: Frame) -> list[_Proposal]:
         """The frame's masks, made once and remembered for the prompts that follow."""
@@ -183,9 +195,13 @@ class GraphSegmenter:
                 for scale in self._settings.geometry_scales
             ]
         lab = rgb2lab(np.clip(frame.rgb, 0, 1)) / 100
-        fine = [_graph_based(lab, scale, 0.8, minimum) for scale in self._settings.colour_scales]
+        finest = coarse[0] if coarse else None
         if coarse:
-            fine = [labels * (int(coarse[0].max()) + 1) + coarse[0] for labels in fine]
+            focal = float(frame.camera.K[0, 0])
+            coarse.append(merge_things(coarse[-1], geometry, focal, self._settings.gap_limit))
+        fine = [_graph_based(lab, scale, 0.8, minimum) for scale in self._settings.colour_scales]
+        if finest is not None:
+            fine = [labels * (int(finest.max()) + 1) + finest for labels in fine]
         return fine + coarse
 
 
@@ -205,7 +221,9 @@ def _geometry_features(geometry: FrameGeometry) -> NDArray[np.float64]:
     """
     codes = np.array([[0.0, 0.0], [1.0, 0.0], [-0.5, 0.9], [-0.5, -0.9]])
     features = np.empty((*geometry.shown.shape, 3))
-    features[..., 0] = np.where(geometry.shown, np.minimum(geometry.disparity, 4.0), -2.0)
+    # A plane is one surface however its depth runs, so it has no disparity of its own.
+    standing = np.where(geometry.plane > 0, 0.0, np.minimum(geometry.disparity, 4.0))
+    features[..., 0] = np.where(geometry.shown, standing, -2.0)
     features[..., 1:] = codes[geometry.plane]
     return features
 

@@ -83,6 +83,20 @@ _LOADING = RLock()
 """Two threads that want the same model wait for one loading."""
 
 
+def check_models(config: ModelConfig) -> None:
+    """Refuse names that are not known, without loading anything.
+
+    Raises:
+        ConfigError: listing the names that are.
+    """
+    if config.segmenter not in SEGMENTERS:
+        raise unknown_name("segmenter", config.segmenter, SEGMENTERS)
+    if config.text_segmenter not in TEXT_SEGMENTERS:
+        raise unknown_name("text segmenter", config.text_segmenter, TEXT_SEGMENTERS)
+    if config.encoder not in ENCODERS and _random(config.encoder) is None:
+        raise unknown_name("encoder", config.encoder, [*ENCODERS, "random:SEED"])
+
+
 def build_models(config: ModelConfig | None = None) -> Models:
     """The models of a configuration. Weights are loaded once a process and then shared.
 
@@ -94,13 +108,8 @@ def build_models(config: ModelConfig | None = None) -> Models:
         ModelError: for weights that are missing or wrong.
     """
     config = config or ModelConfig()
-    if config.segmenter not in SEGMENTERS:
-        raise unknown_name("segmenter", config.segmenter, SEGMENTERS)
-    if config.text_segmenter not in TEXT_SEGMENTERS:
-        raise unknown_name("text segmenter", config.text_segmenter, TEXT_SEGMENTERS)
+    check_models(config)
     random = _random(config.encoder)
-    if random is None and config.encoder not in ENCODERS:
-        raise unknown_name("encoder", config.encoder, [*ENCODERS, "random:SEED"])
     with _LOADING:
         segmenter = SEGMENTERS[config.segmenter](config)
         encoder = random or ENCODERS[config.encoder](config)

@@ -18,8 +18,8 @@ from gvr_core.rendering.layout import (
     LIMIT,
     MEAN_X,
     MEAN_Y,
+    RIGHTMOST_Y,
     TILE,
-    TOP_Y,
     A,
     B,
     C,
@@ -71,14 +71,14 @@ def bin_piece(
         a, b, c = row[A], row[B], row[C]
         width = _ONE / a
         slant = b * width
-        top_y = row[TOP_Y]
+        rightmost_y = row[RIGHTMOST_Y]
         first_row = max(_clamped_tile(np.ceil(mean_y - extent_y - _HALF), tiles_y), 0)
         last_row = min(_clamped_tile(np.floor(mean_y + extent_y - _HALF), tiles_y), tiles_y - 1)
         for tile_y in range(first_row, last_row + 1):
             low = np.float32(tile_y * TILE) + _HALF - mean_y
             high = np.float32(tile_y * TILE) + _LAST - mean_y
-            right_y = min(max(top_y, low), high)
-            left_y = min(max(-top_y, low), high)
+            right_y = min(max(rightmost_y, low), high)
+            left_y = min(max(-rightmost_y, low), high)
             right_v, left_v = c * right_y, c * left_y
             right = (
                 mean_x + slant * right_y + width * math.sqrt(max(limit - right_v * right_v, _ZERO))

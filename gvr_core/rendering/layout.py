@@ -36,10 +36,13 @@ RED, GREEN, BLUE = 6, 7, 8
 """Colour seen from the camera, >= 0."""
 DEPTH = 9
 """z in the camera frame, scene units."""
-EXTENT_X, EXTENT_Y = 10, 11
-"""Half width and half height, pixels, of the ellipse on which alpha is 1/255."""
-TOP_Y = 12
-"""dy of the rightmost point of that ellipse (and -dy of the leftmost)."""
+EXTENT_Y = 10
+"""Half height, pixels, of the ellipse on which alpha is 1/255."""
+RIGHTMOST_Y = 11
+"""dy of the rightmost point of that ellipse; -dy of the leftmost."""
+COLUMN = 12
+"""1 / (B^2 + C^2): the ellipse meets a column of pixels, dx away from the mean, where
+dy = (A B dx +- sqrt(LIMIT / COLUMN - (A C dx)^2)) COLUMN."""
 LIMIT = 13
 """(A dx - B dy)^2 + (C dy)^2 on that ellipse: log2(255 opacity) / 8."""
 REST_X, REST_Y = 14, 15

@@ -18,18 +18,18 @@ from gvr_core.cameras import Camera
 from gvr_core.rendering.base import ALPHA_MIN, LOW_PASS, NEAR
 from gvr_core.rendering.compiled import kernel
 from gvr_core.rendering.layout import (
+    COLUMN,
     DEPTH,
     EXPONENT_SCALE,
-    EXTENT_X,
     EXTENT_Y,
     LIMIT,
     MEAN_X,
     MEAN_Y,
     REST_X,
     REST_Y,
+    RIGHTMOST_Y,
     T0,
     T_MIN,
-    TOP_Y,
     A,
     B,
     C,
@@ -181,5 +181,5 @@ def project(
         row[REST_Y] = np.float32(wide_mean_y - mean_y)
         row[A], row[B], row[C] = narrow, narrow * slant, _KAPPA / math.sqrt(yy)
         row[T0], row[LIMIT], row[DEPTH] = t0, limit, z
-        row[EXTENT_X], row[EXTENT_Y] = extent_x, extent_y
-        row[TOP_Y] = reach * xy / math.sqrt(xx)
+        row[EXTENT_Y], row[RIGHTMOST_Y] = extent_y, reach * xy / math.sqrt(xx)
+        row[COLUMN] = det / (_KAPPA * _KAPPA * xx)

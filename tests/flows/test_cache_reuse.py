@@ -172,14 +172,15 @@ def test_a_method_that_fails_leaves_the_others_be(bench, suite, oracles, monkeyp
 
     real = scene_module.make_job
 
-    def breaks(data, suite, method, store, progress=None):
+    def breaks(data, method, *others):
         if method.shown_name == "broken":
             raise RuntimeError("out of luck")
-        return real(data, suite, method, store, progress)
+        return real(data, method, *others)
 
     monkeypatch.setattr(scene_module, "make_job", breaks)
     methods = (MethodConfig(label="broken"), MethodConfig())
     outcome = bench(suite.model_copy(update={"methods": methods}))
     assert [scene.status for scene in outcome.result.scenes] == ["failed", "completed"]
-    assert outcome.failed == ["small/two-boxes · broken: RuntimeError: out of luck"]
+    place = f"{suite.datasets[0].name}/two-boxes"
+    assert outcome.failed == [f"{place} · broken: RuntimeError: out of luck"]
     assert not outcome.bad_input

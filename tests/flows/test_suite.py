@@ -48,6 +48,11 @@ def test_a_suite_of_ones_own(tmp_path: Path) -> None:
         (("top_k = 5", "top_k = 0"), "methods.0.locate.top_k", None),
         (('name = "mine"', 'name = "mine"\nspeed = 3'), "speed", "renderer"),
         (('name = "mine"', 'name = "mine"\nrenderer = "cuda"'), "cuda", "numba"),
+        (
+            ('name = "mine"', 'name = "mine"\nmodels = { encoder = "clip" }'),
+            "clip",
+            "onboard-conse",
+        ),
         (('name = "mine"', 'name = "../mine"'), "name", None),
         (('name = "mine"', 'name = "mine'), "TOML", "TOML"),
         (('name = "mine"', 'name = "mine"\nlimit = 0'), "limit", None),

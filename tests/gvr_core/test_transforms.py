@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,8 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
 
+from gvr_core.cameras import Camera, intrinsics, look_at
 from gvr_core.errors import SplatFormatError
 from gvr_core.gaussians import Gaussians
+from gvr_core.rendering.base import get_renderer
 from gvr_core.transforms import rotate_sh, sh_basis, transform_gaussians
 
 
@@ -131,3 +135,20 @@ def test_bands_keep_their_energy() -> None:
 def test_what_is_no_similarity_is_refused(rotation, translation, scale) -> None:
     with pytest.raises(SplatFormatError, match="accepted"):
         transform_gaussians(random_gaussians(10), rotation, translation, scale)
+
+
+def test_a_turned_scene_looks_the_same_to_a_camera_turned_along() -> None:
+    g, r, t, s = random_gaussians(11, n=60), random_rotation(12), np.array([2.0, -1, 0.5]), 0.8
+    eye, target, up = np.array([0.0, -5, 1]), np.zeros(3), np.array([0.0, 0, 1])
+    k = intrinsics(60, 64, 48)
+    before = Camera(k, look_at(eye, target, up), 64, 48)
+    after = Camera(k, look_at(s * r @ eye + t, s * r @ target + t, r @ up), 64, 48)
+    renderer = get_renderer("numba")
+    expected = renderer.render(g, before)
+    turned = transform_gaussians(g, r, t, s)
+    assert expected.alpha.max() > 0.9 and expected.rgb.std() > 0.1
+    # single pixels may flip at the 1/255 threshold
+    assert np.percentile(np.abs(renderer.render(turned, after).rgb - expected.rgb), 99.5) < 1e-4
+    unturned_colours = replace(turned, sh=g.sh)
+    wrong = np.abs(renderer.render(unturned_colours, after).rgb - expected.rgb)
+    assert np.percentile(wrong, 99.5) > 0.05

@@ -1,0 +1,132 @@
+"""The data sets by name."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from datasets.base import Dataset, SceneData
+from datasets.composite import CompositeDataset
+from datasets.gallery import GalleryDataset
+from datasets.native import read_scene
+from gvr_core.errors import ConfigError, DatasetError, unknown_name
+
+FOLDER = "folder:"
+"""Names that begin with this are folders of scenes in the native layout."""
+
+
+def data_root() -> Path:
+    """Where made scenes are kept: GVR_DATA, else ``data`` under GVR_HOME, else ``.gvr/data``."""
+    return Path(os.environ.get("GVR_DATA") or Path(os.environ.get("GVR_HOME", ".gvr")) / "data")
+
+
+class FolderDataset:
+    """Scenes in the native layout, as they lie in a folder.
+
+    Args:
+        folder: A folder of scenes, or a single scene.
+
+    Raises:
+        DatasetError: if there is no scene in it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.name = FOLDER + str(folder)
+        alone = (folder / "scene.json").exists()
+        found = [folder.resolve()] if alone else _scene_folders(folder)
+        if not found:
+            raise DatasetError(
+                "no scene here",
+                path=folder,
+                accepted="a folder that holds scene.json, or folders that do",
+            )
+        self._folders = {path.name: path for path in found}
+
+    def scenes(self) -> Sequence[str]:
+        """Names of the scenes' folders, in alphabetical order."""
+        return tuple(self._folders)
+
+    def load(self, scene: str) -> SceneData:
+        """Read one scene.
+
+        Raises:
+            ConfigError: for a scene that is not in the folder.
+            InputError: for files that are not as the layout says.
+        """
+        if scene not in self._folders:
+            raise unknown_name("scene", scene, self._folders)
+        return read_scene(self._folders[scene], self.name, scene)
+
+
+def _scene_folders(folder: Path) -> list[Path]:
+    """Folders with a scene, without the hidden ones that a killed writer may leave."""
+    found = sorted(path.parent for path in folder.glob("*/scene.json"))
+    return [path for path in found if not path.name.startswith(".")]
+
+
+def _gallery(seeds: object = (0, 1, 2, 3)) -> Dataset:
+    listed = list(seeds) if isinstance(seeds, (list, tuple)) else []
+    if (
+        not listed
+        or len(set(listed)) < len(listed)
+        or not all(type(seed) is int and 0 <= seed < 2**63 for seed in listed)
+    ):
+        raise ConfigError(
+            f"seeds {seeds!r}"[:100],
+            place="gallery.settings.seeds",
+            accepted="a list of different whole numbers, 0 or larger",
+        )
+    return GalleryDataset(data_root() / "gallery", listed)
+
+
+def _composite(splats: object = None) -> Dataset:
+    if splats is not None and not (isinstance(splats, str) and splats):
+        raise ConfigError(
+            f"splats {splats!r}"[:100],
+            place="composite.settings.splats",
+            accepted="the path of a folder",
+        )
+    return CompositeDataset(data_root() / "composite", Path(splats) if splats else None)
+
+
+DATASETS: dict[str, tuple[Callable[..., Dataset], tuple[str, ...]]] = {
+    "gallery": (_gallery, ("seeds",)),
+    "composite": (_composite, ("splats",)),
+}
+"""Name -> how to make it, and the settings it takes."""
+
+
+def check_dataset(name: str) -> None:
+    """Refuse a name that is not registered.
+
+    Raises:
+        ConfigError: listing the names that are.
+    """
+    if name not in DATASETS and not name.startswith(FOLDER):
+        raise unknown_name("data set", name, [*DATASETS, FOLDER + "PATH"])
+
+
+def get_dataset(name: str, settings: Mapping[str, Any]) -> Dataset:
+    """The data set of that name.
+
+    Args:
+        name: A registered name, or ``folder:PATH``.
+        settings: What the data set can be told; see :data:`DATASETS`.
+
+    Raises:
+        ConfigError: for a name or a setting that is not known.
+        DatasetError: for a folder without scenes.
+    """
+    check_dataset(name)
+    make, accepted = DATASETS.get(name, (None, ()))
+    unknown = sorted(set(settings) - set(accepted))
+    if unknown:
+        raise ConfigError(
+            f"unknown setting {', '.join(unknown)} of the data set {name}",
+            accepted=", ".join(accepted) or "no settings",
+        )
+    if make is None:
+        return FolderDataset(Path(name.removeprefix(FOLDER)))
+    return make(**settings)

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from urllib.request import ProxyHandler, build_opener
+
+import pytest
+from conftest import Server
+
+from gvr_core.errors import ConfigError
+from reports.mlflow_server import ServerError, start_server
+from reports.mlflow_store import LocalStore
+
+
+def test_pages_answer_on_loopback_alone(server: Server) -> None:
+    url = server.start().url
+    assert url.startswith("http://127.0.0.1:")
+    with build_opener(ProxyHandler({})).open(url, timeout=10) as answer:
+        assert b"<title>MLflow</title>" in answer.read()
+
+
+def test_a_taken_port_is_refused(store: LocalStore) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with pytest.raises(ConfigError, match=f"port {port} of 127.0.0.1 .*in use") as caught:
+            start_server(port, store=store)
+    assert "free port" in str(caught.value.accepted)
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_no_such_port(port: int, store: LocalStore) -> None:
+    with pytest.raises(ConfigError, match=f"port {port}"):
+        start_server(port, store=store)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.5", "example.org", "::"])
+def test_addresses_that_others_reach_are_refused(host: str, store: LocalStore) -> None:
+    with pytest.raises(ConfigError, match="no password"):
+        start_server(0, host, store)
+
+
+def test_a_silent_server_is_ended_and_its_words_shown(store: LocalStore) -> None:
+    with pytest.raises(ServerError, match=r"did not answer .* within 0 s.*server\.log"):
+        start_server(0, store=store, start_seconds=0.2)
+    listed = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
+    assert str(store.database) not in listed
+
+
+SERVE = """
+import sys
+from pathlib import Path
+from reports.mlflow_server import serve_ui
+from reports.mlflow_store import LocalStore
+serve_ui(0, store=LocalStore(Path(sys.argv[1])), announce=lambda url: print(url, flush=True))
+print("ended", flush=True)
+"""
+
+
+def test_sigterm_ends_the_command_with_its_server(store: LocalStore) -> None:
+    command = [sys.executable, "-c", SERVE, str(store.folder)]
+    user = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert user.stdout is not None
+        port = int(user.stdout.readline().strip().rsplit(":", 1)[1])
+        socket.create_connection(("127.0.0.1", port), timeout=5).close()
+        os.kill(user.pid, signal.SIGTERM)
+        assert user.communicate(timeout=30)[0] == "ended\n"
+        assert user.returncode == 0
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.1", port), timeout=5)
+    finally:
+        user.kill()
+
+
+def test_stopping_twice_does_no_harm(server: Server) -> None:
+    running = server.start()
+    server.stop()
+    running.stop()
+    assert running.process.returncode is not None
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", server.port), timeout=5)
+    assert Path(running.log).read_text()
