@@ -11,12 +11,13 @@ from prefect import flow
 
 from datasets.base import SceneData
 from flows.progress import Progress
-from flows.scene import make_job, run_stages
+from flows.scene import make_job
 from gvr_core.atomic import atomic_write
 from gvr_core.methods import MethodConfig
 from gvr_core.scene import Query
 from gvr_core.splat_io import write_ply
 from tasks.groundings import Answer, unpack_answers
+from tasks.stages import run_stages
 from tasks.store import Store
 
 

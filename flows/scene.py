@@ -20,9 +20,8 @@ from gvr_core.rendering import get_renderer
 from gvr_core.scene import Query
 from reports.record import QueryOutcome, Row, SceneResult, StageTiming
 from tasks.groundings import Answer, unpack_answers
-from tasks.records import StageRecord
-from tasks.stage import Stage, StageRun, run_stage
-from tasks.stages import PREPARATION, STAGES, SceneJob, StagePlan
+from tasks.stage import StageRun
+from tasks.stages import PREPARATION, SceneJob, run_stages
 from tasks.store import Store
 
 
@@ -71,35 +70,6 @@ def make_job(
     bars = progress or Progress(shown=False)
     track = partial(bars.track, label=label)
     return SceneJob(store, data, data.queries[:limit], method, tools, track)
-
-
-def run_stages(job: SceneJob) -> dict[str, StageRun]:
-    """Run every stage of a job, or find its result in the store.
-
-    Args:
-        job: One method on one scene.
-
-    Returns:
-        Stage name -> how it ended.
-    """
-    runs: dict[str, StageRun] = {}
-    records: dict[str, StageRecord] = {}
-    for plan in STAGES:
-        config = plan.config(job)
-        runs[plan.name] = run_stage(
-            Stage(plan.name, plan.version, partial(_compute, plan), tuple(config)),
-            job.store,
-            plan.inputs(job, records),
-            config,
-            label=f"{job.data.scene.dataset}/{job.data.scene.name}",
-            runtime={"job": job, "done": dict(records)},
-        )
-        records[plan.name] = runs[plan.name].record
-    return runs
-
-
-def _compute(plan: StagePlan, store: Store, inputs: Any, config: Any, **runtime: Any) -> Any:
-    return plan.compute(runtime["job"], runtime["done"])
 
 
 @flow(name="scene", flow_run_name="{dataset}/{scene}", validate_parameters=False)

@@ -6,8 +6,8 @@
     depth ──┘ (also into encode and query)
 
 A stage's key is its name and version, the digests of its inputs, and its own slice of the
-configuration. Changing the queries leaves the first four stages as they are; changing the
-renderer changes every picture, and so everything below.
+configuration; :data:`STAGES` shows all of them at a glance. Changing the queries leaves the first
+four stages as they are; changing the renderer changes every picture, and so everything below.
 """
 
 from __future__ import annotations
@@ -31,12 +31,17 @@ from tasks.groundings import (
     unpack_answers,
     unpack_localization,
 )
-from tasks.records import StageRecord, canonical_json
-from tasks.store import StageOutput, Store
+from tasks.stage import Stage, StageRun, run_stage
+from tasks.store import StageOutput, Store, canonical_json
 
-Records = Mapping[str, StageRecord]
 Track = Callable[[Iterable[Any], str], Iterable[Any]]
 """Wraps a loop, e.g. in a progress bar; the text says what is being done."""
+
+Inputs = Mapping[str, Any]
+"""Name -> the digest of a part of the scene, or how an earlier stage ended (a StageRun)."""
+
+Config = Mapping[str, Any]
+"""A stage's own slice of the configuration."""
 
 
 def _untracked(items: Iterable[Any], text: str) -> Iterable[Any]:
@@ -54,27 +59,33 @@ class SceneJob:
     tools: Toolbox
     track: Track = field(default=_untracked)
 
-    def texts_digest(self) -> str:
-        """sha256 of the queries as a method sees them: ids and words, no answers."""
-        return _digest([[query.id, query.text] for query in self.queries])
+    @property
+    def label(self) -> str:
+        """Data set and scene, for the names of task runs."""
+        return f"{self.data.scene.dataset}/{self.data.scene.name}"
 
-    def queries_digest(self) -> str:
-        """sha256 of the queries with their answers."""
-        return _digest([query.model_dump() for query in self.queries])
+    def config(self) -> dict[str, Any]:
+        """The whole configuration that results depend on, as JSON values."""
+        models = self.tools.models
+        return {
+            "method": self.method.method,
+            "locate": self.method.locate.model_dump(mode="json"),
+            "segment": self.method.segment.model_dump(mode="json"),
+            "renderer": self.tools.renderer.name,
+            "segmenter": models.segmenter.name,
+            "encoder": models.encoder.name,
+            "text_segmenter": models.text_segmenter.name,
+            "protocols": [IN_SCENE_2D, FLAGS_3D, REFUSAL],
+        }
+
+    def digests(self) -> dict[str, str]:
+        """sha256 of each part of the scene, and of the queries without and with their answers."""
+        texts = [[query.id, query.text] for query in self.queries]
+        answers = [query.model_dump() for query in self.queries]
+        return {**self.data.digests, "texts": _digest(texts), "queries": _digest(answers)}
 
 
-@dataclass(frozen=True)
-class StagePlan:
-    """A stage: its name and version, its inputs, its slice of the configuration, its work."""
-
-    name: str
-    version: int
-    inputs: Callable[[SceneJob, Records], dict[str, str]]
-    config: Callable[[SceneJob], dict[str, Any]]
-    compute: Callable[[SceneJob, Records], StageOutput]
-
-
-def compute_render(job: SceneJob, done: Records) -> StageOutput:
+def compute_render(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Render every knowledge view."""
     scene = job.data.scene
     book = preparation.render_views(
@@ -84,11 +95,11 @@ def compute_render(job: SceneJob, done: Records) -> StageOutput:
         job.method.segment.background,
         lambda views: job.track(views, "render"),
     )
-    artifact = job.store.put_arrays("view_book", book.to_arrays())
+    artifact = store.put_arrays("view_book", book.to_arrays())
     return StageOutput({"views": artifact}, {"n_views": len(book)})
 
 
-def compute_depth(job: SceneJob, done: Records) -> StageOutput:
+def compute_depth(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Render every knowledge view's depth: the Depth Book."""
     scene = job.data.scene
     book = preparation.render_depths(
@@ -97,56 +108,56 @@ def compute_depth(job: SceneJob, done: Records) -> StageOutput:
         job.tools.renderer,
         lambda views: job.track(views, "depth"),
     )
-    artifact = job.store.put_arrays("depth_book", book.to_arrays())
+    artifact = store.put_arrays("depth_book", book.to_arrays())
     return StageOutput({"depths": artifact}, {"n_views": len(book)})
 
 
-def compute_masks(job: SceneJob, done: Records) -> StageOutput:
+def compute_masks(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Cut every view into patches."""
     book = preparation.segment_views(
-        _view_book(job, done),
-        _depth_book(job, done),
+        _view_book(store, inputs),
+        _depth_book(store, inputs),
         job.data.scene.views,
         job.tools.models.segmenter,
         lambda views: job.track(views, "masks"),
     )
-    artifact = job.store.put_arrays("patch_book", book.to_arrays())
+    artifact = store.put_arrays("patch_book", book.to_arrays())
     return StageOutput({"patches": artifact}, {"n_patches": len(book)})
 
 
-def compute_encode(job: SceneJob, done: Records) -> StageOutput:
+def compute_encode(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Encode every patch: the Semantic Vector Book."""
     book = preparation.encode_patches(
-        _view_book(job, done),
-        _depth_book(job, done),
+        _view_book(store, inputs),
+        _depth_book(store, inputs),
         job.data.scene.views,
-        _patch_book(job, done),
+        _patch_book(store, inputs),
         job.tools.models.encoder,
         lambda views: job.track(views, "encode"),
     )
-    artifact = job.store.put_arrays("semantic_vectors", {"features": book.features})
+    artifact = store.put_arrays("semantic_vectors", {"features": book.features})
     return StageOutput({"features": artifact}, {"c": int(book.features.shape[1])})
 
 
-def compute_query(job: SceneJob, done: Records) -> StageOutput:
+def compute_query(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """RFL: localise every query."""
     method = build_method(job.method, job.tools)
-    features = job.store.load_arrays(done["encode"].artifacts["features"])["features"]
-    semantics = SemanticVectorBook(features, _patch_book(job, done))
-    books = Books(_view_book(job, done), _depth_book(job, done), semantics)
+    features = store.load_arrays(inputs["encode"]["features"])["features"]
+    semantics = SemanticVectorBook(features, _patch_book(store, inputs))
+    books = Books(_view_book(store, inputs), _depth_book(store, inputs), semantics)
     places, seconds = {}, {}
     for query in job.track(job.queries, "query"):
         start = time.perf_counter()
         places[query.id] = pack_localization(method.locate(job.data.scene, books, query))
         seconds[query.id] = time.perf_counter() - start
-    artifact = job.store.put_json("localizations", places)
+    artifact = store.put_json("localizations", places)
     return StageOutput({"localizations": artifact}, {"seconds": seconds})
 
 
-def compute_segment(job: SceneJob, done: Records) -> StageOutput:
+def compute_segment(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Segment every query's target, given where it is."""
     method = build_method(job.method, job.tools)
-    places = job.store.load_json(done["query"].artifacts["localizations"])
+    places = store.load_json(inputs["query"]["localizations"])
     groundings, seconds = [], {}
     for query in job.track(job.queries, "segment"):
         start = time.perf_counter()
@@ -155,110 +166,66 @@ def compute_segment(job: SceneJob, done: Records) -> StageOutput:
         seconds[query.id] = grounding.seconds | {"segment": time.perf_counter() - start}
         groundings.append(grounding)
     arrays = pack_groundings(groundings, len(job.data.scene.gaussians))
-    artifact = job.store.put_arrays("groundings", arrays)
+    artifact = store.put_arrays("groundings", arrays)
     return StageOutput({"groundings": artifact}, {"seconds": seconds})
 
 
-def compute_evaluate(job: SceneJob, done: Records) -> StageOutput:
+def compute_evaluate(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Score every query, and draw it."""
-    answers = unpack_answers(job.store.load_arrays(done["segment"].artifacts["groundings"]))
+    answers = unpack_answers(store.load_arrays(inputs["segment"]["groundings"]))
     rows, artifacts, unseen = [], {}, 0
     for query, answer in job.track(list(zip(job.queries, answers, strict=True)), "evaluate"):
         scored, hidden = score_query(job.data, query, answer, job.tools.renderer)
         picture = draw_query(job.data, query, answer, scored, job.tools.renderer)
-        artifacts[f"picture.{query.id}"] = job.store.put_bytes("picture", picture, ".png")
+        artifacts[f"picture.{query.id}"] = store.put_bytes("picture", picture, ".png")
         rows += scored
         unseen += hidden
-    artifacts["rows"] = job.store.put_json("rows", rows)
+    artifacts["rows"] = store.put_json("rows", rows)
     return StageOutput(artifacts, {"views_without_object": unseen})
 
 
-def _scene_inputs(job: SceneJob, *parts: str) -> dict[str, str]:
-    return {part: job.data.digests[part] for part in parts}
+@dataclass(frozen=True)
+class PlannedStage:
+    """A stage, and which digests are its inputs."""
 
-
-def _digests(done: Records, *stages: str) -> dict[str, str]:
-    return {stage: done[stage].digest for stage in stages}
+    stage: Stage
+    inputs: tuple[str, ...]
+    """Parts of the scene, ``texts`` or ``queries``, and names of earlier stages."""
 
 
 STAGES = (
-    StagePlan(
-        "render",
-        1,
-        lambda job, done: _scene_inputs(job, "gaussians", "views"),
-        lambda job: {
-            "renderer": job.tools.renderer.name,
-            "background": list(job.method.segment.background),
-        },
-        compute_render,
+    PlannedStage(
+        Stage("render", 1, compute_render, ("renderer", "segment.background")),
+        ("gaussians", "views"),
     ),
-    StagePlan(
-        "depth",
-        1,
-        lambda job, done: _scene_inputs(job, "gaussians", "views"),
-        lambda job: {"renderer": job.tools.renderer.name},
-        compute_depth,
+    PlannedStage(
+        Stage("depth", 1, compute_depth, ("renderer",)),
+        ("gaussians", "views"),
     ),
-    StagePlan(
-        "masks",
-        1,
-        lambda job, done: _scene_inputs(job, "views") | _digests(done, "render", "depth"),
-        lambda job: {"segmenter": job.tools.models.segmenter.name},
-        compute_masks,
+    PlannedStage(
+        Stage("masks", 1, compute_masks, ("segmenter",)),
+        ("views", "render", "depth"),
     ),
-    StagePlan(
-        "encode",
-        1,
-        lambda job, done: _scene_inputs(job, "views") | _digests(done, "render", "depth", "masks"),
-        lambda job: {"encoder": job.tools.models.encoder.name},
-        compute_encode,
+    PlannedStage(
+        Stage("encode", 1, compute_encode, ("encoder",)),
+        ("views", "render", "depth", "masks"),
     ),
-    StagePlan(
-        "query",
-        1,
-        lambda job, done: (
-            _scene_inputs(job, "views")
-            | _digests(done, "depth", "masks", "encode")
-            | {"texts": job.texts_digest()}
+    PlannedStage(
+        Stage("query", 1, compute_query, ("method", "encoder", "locate")),
+        ("views", "texts", "render", "depth", "masks", "encode"),
+    ),
+    PlannedStage(
+        Stage(
+            "segment",
+            1,
+            compute_segment,
+            ("method", "renderer", "segmenter", "text_segmenter", "locate.rfl", "segment"),
         ),
-        lambda job: {
-            "method": job.method.method,
-            "encoder": job.tools.models.encoder.name,
-            "locate": job.method.locate.model_dump(mode="json"),
-        },
-        compute_query,
+        ("gaussians", "views", "texts", "query"),
     ),
-    StagePlan(
-        "segment",
-        1,
-        lambda job, done: (
-            _scene_inputs(job, "gaussians", "views")
-            | _digests(done, "query")
-            | {"texts": job.texts_digest()}
-        ),
-        lambda job: {
-            "method": job.method.method,
-            "renderer": job.tools.renderer.name,
-            "segmenter": job.tools.models.segmenter.name,
-            "text_segmenter": job.tools.models.text_segmenter.name,
-            "rfl": job.method.locate.rfl,
-            "segment": job.method.segment.model_dump(mode="json"),
-        },
-        compute_segment,
-    ),
-    StagePlan(
-        "evaluate",
-        1,
-        lambda job, done: (
-            _scene_inputs(job, "gaussians", "truth")
-            | _digests(done, "segment")
-            | {"queries": job.queries_digest()}
-        ),
-        lambda job: {
-            "renderer": job.tools.renderer.name,
-            "protocols": [IN_SCENE_2D, FLAGS_3D, REFUSAL],
-        },
-        compute_evaluate,
+    PlannedStage(
+        Stage("evaluate", 1, compute_evaluate, ("renderer", "protocols")),
+        ("gaussians", "queries", "truth", "segment"),
     ),
 )
 """The stages, in the order in which they run."""
@@ -267,16 +234,36 @@ PREPARATION = ("render", "depth", "masks", "encode")
 """Stages before any query: the paper's preparation time."""
 
 
-def _view_book(job: SceneJob, done: Records) -> ViewBook:
-    return ViewBook.from_arrays(job.store.load_arrays(done["render"].artifacts["views"]))
+def run_stages(job: SceneJob) -> dict[str, StageRun]:
+    """Run every stage of a job, or find its result in the store.
+
+    Args:
+        job: One method on one scene.
+
+    Returns:
+        Stage name -> how it ended.
+    """
+    known: dict[str, Any] = job.digests()
+    runs: dict[str, StageRun] = {}
+    for planned in STAGES:
+        inputs = {name: known[name] for name in planned.inputs}
+        run = run_stage(
+            planned.stage, job.store, inputs, job.config(), label=job.label, runtime={"job": job}
+        )
+        known[planned.stage.name] = runs[planned.stage.name] = run
+    return runs
 
 
-def _depth_book(job: SceneJob, done: Records) -> DepthBook:
-    return DepthBook.from_arrays(job.store.load_arrays(done["depth"].artifacts["depths"]))
+def _view_book(store: Store, inputs: Inputs) -> ViewBook:
+    return ViewBook.from_arrays(store.load_arrays(inputs["render"]["views"]))
 
 
-def _patch_book(job: SceneJob, done: Records) -> PatchBook:
-    return PatchBook.from_arrays(job.store.load_arrays(done["masks"].artifacts["patches"]))
+def _depth_book(store: Store, inputs: Inputs) -> DepthBook:
+    return DepthBook.from_arrays(store.load_arrays(inputs["depth"]["depths"]))
+
+
+def _patch_book(store: Store, inputs: Inputs) -> PatchBook:
+    return PatchBook.from_arrays(store.load_arrays(inputs["masks"]["patches"]))
 
 
 def _digest(value: object) -> str:

@@ -25,6 +25,9 @@ BEHIND_SHARE = 0.02
 """At most this share lies behind a support plane. This is what tells the ground and the walls,
 which end the scene, from the flat faces of things, which have something behind them."""
 
+FROM_ABOVE = 0.9
+"""Cosine between the optical axis and the normal of a support plane that is seen from above."""
+
 PEAK_SHARE = 0.5
 """At least this part of a plane's points lies within a third of its tolerance. A slice through
 something round fills its tolerance evenly, and has a third there."""
@@ -49,6 +52,9 @@ class FrameGeometry:
     plane: NDArray[np.uint8]
     """(H, W) number of the support plane that a pixel lies on, 1 to 3; 0 for none."""
 
+    from_above: bool
+    """True where the one support plane is seen along its normal, as in a bird's-eye view."""
+
     @property
     def has_depth(self) -> bool:
         """False for a photograph without depth."""
@@ -67,20 +73,24 @@ def frame_geometry(frame: Frame) -> FrameGeometry:
     plane = np.zeros(depth.shape, np.uint8)
     disparity = np.zeros(depth.shape, np.float32)
     if not depth.any():
-        return FrameGeometry(opaque, disparity, plane)
+        return FrameGeometry(opaque, disparity, plane, False)
     if not shown.any():
-        return FrameGeometry(shown, disparity, plane)
+        return FrameGeometry(shown, disparity, plane, False)
     disparity[shown] = np.median(depth[shown]) / depth[shown]
     rays = _rays(frame)
     remaining = shown.copy()
+    normals = []
     for number in range(1, MAX_PLANES + 1):
-        distance = _support_plane(rays, depth.astype(np.float64), shown, remaining)
-        if distance is None:
+        found = _support_plane(rays, depth.astype(np.float64), shown, remaining)
+        if found is None:
             break
+        distance, normal = found
+        normals.append(normal)
         on_plane = remaining & (distance <= 1.0)
         plane[on_plane] = number
         remaining &= ~on_plane
-    return FrameGeometry(shown, disparity, plane)
+    from_above = len(normals) == 1 and bool(abs(normals[0][2]) > FROM_ABOVE)
+    return FrameGeometry(shown, disparity, plane, from_above)
 
 
 def _rays(frame: Frame) -> Float64Array:
@@ -94,7 +104,7 @@ def _rays(frame: Frame) -> Float64Array:
 
 def _support_plane(
     rays: Float64Array, depth: Float64Array, shown: BoolArray, remaining: BoolArray
-) -> Float64Array | None:
+) -> tuple[Float64Array, Float64Array] | None:
     """The plane that holds most of the remaining points and has next to nothing behind it.
 
     Args:
@@ -104,8 +114,8 @@ def _support_plane(
         remaining: (H, W) pixels that no earlier plane took.
 
     Returns:
-        (H, W) distance in front of the plane in units of its tolerance (negative behind it), or
-        None where there is no such plane.
+        (H, W) distance in front of the plane in units of its tolerance (negative behind it), and
+        the plane's unit normal (3,), camera frame; or None where there is no such plane.
     """
     n_shown = int(shown.sum())
     if remaining.sum() < PLANE_SHARE * n_shown:
@@ -142,7 +152,7 @@ def _support_plane(
     tolerance = float(np.clip(4 * spread, *_TOLERANCE_RANGE))
     safe_depth = np.where(shown, depth, 1.0)
     distance: Float64Array = (rays @ normal) + offset / safe_depth
-    return distance / tolerance
+    return distance / tolerance, normal
 
 
 def _candidates(

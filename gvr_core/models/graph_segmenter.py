@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import OrderedDict
 from dataclasses import dataclass
 from threading import Lock
@@ -197,8 +198,10 @@ class GraphSegmenter:
         lab = rgb2lab(np.clip(frame.rgb, 0, 1)) / 100
         finest = coarse[0] if coarse else None
         if coarse:
+            # Seen from above, steps in depth are heights of one thing, not gaps between two.
+            limit = math.inf if geometry.from_above else self._settings.gap_limit
             focal = float(frame.camera.K[0, 0])
-            coarse.append(merge_things(coarse[-1], geometry, focal, self._settings.gap_limit))
+            coarse.append(merge_things(coarse[-1], geometry, focal, limit))
         fine = [_graph_based(lab, scale, 0.8, minimum) for scale in self._settings.colour_scales]
         if finest is not None:
             fine = [labels * (int(finest.max()) + 1) + finest for labels in fine]

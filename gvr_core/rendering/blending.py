@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvr_core.rendering.base import ALPHA_MAX, TRANSMITTANCE_MIN
-from gvr_core.rendering.compiled import inlined, kernel, prefer_wide_vectors
+from gvr_core.rendering.compiled import inlined, kernel, prefer_wide_vectors, prefetch_row
 from gvr_core.rendering.layout import (
     BLUE,
     COLUMN,
@@ -86,8 +86,8 @@ def _fetch(
 ) -> None:
     """Bring the next Gaussians of a tile into the cache, in coordinates of the tile.
 
-    They lie anywhere in memory: fetched together, their latencies overlap. And the processor
-    guesses better how many rows each will take when these numbers are known well before.
+    The processor guesses wrong how many lines each one covers, which costs little where the
+    numbers are known long before they are needed.
     """
     for n in range(size):
         i = pairs[start + n]
@@ -224,6 +224,8 @@ def blend_tiles(
                 break
             size = min(_BATCH, end - first_of_batch)
             _fetch(rows, pairs, first_of_batch, size, left_centre, top_centre, batch, lines_of)
+            for pair in range(first_of_batch + size, min(first_of_batch + size + _BATCH, end)):
+                prefetch_row(rows, pairs[pair])
             for n in range(size):
                 row = batch[n]
                 mean_y, u_left = row[MEAN_Y], row[MEAN_X]

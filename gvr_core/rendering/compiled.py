@@ -18,8 +18,12 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar, cast
 
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba import njit, types
+from numba.core import cgutils
 from numba.extending import intrinsic
+
+codegen: Any = cgutils
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -40,20 +44,40 @@ def inlined(function: Function) -> Function:
     return cast(Function, compile_(function))
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def prefer_wide_vectors(typing_context: Any) -> Any:
-    """Let LLVM use vectors of 512 bits in the calling function, where the processor has them.
-
-    It keeps to 256 bits by default, since processors of around 2017 slowed down for wider ones.
-    In blending the wide ones are 1.4 times as fast.
-    """
-
+def _wide_vectors(typing_context: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         # llvmlite's own method takes only the attributes that it knows.
         set.add(builder.function.attributes, '"prefer-vector-width"="512"')
         return context.get_dummy_value()
 
     return types.void(), generate
+
+
+prefer_wide_vectors: Any = intrinsic(_wide_vectors)
+"""In a kernel, ``prefer_wide_vectors()`` lets LLVM use vectors of 512 bits where the processor has
+them. It keeps to 256 by default, since processors of around 2017 slowed down for wider ones; in
+blending the wide ones are 1.4 times as fast."""
+
+
+def _prefetch(typing_context: Any, array: Any, row: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kind = signature.args[0]
+        fields = context.make_array(kind)(context, builder, arguments[0])
+        place = [arguments[1], context.get_constant(types.intp, 0)]
+        pointer = codegen.get_item_pointer(context, builder, kind, fields, place, wraparound=False)
+        pointer = builder.bitcast(pointer, codegen.voidptr_t)
+        number = codegen.int32_t
+        llvm_type = ir.FunctionType(ir.VoidType(), [pointer.type, number, number, number])
+        prefetch = codegen.get_or_insert_function(builder.module, llvm_type, "llvm.prefetch.p0")
+        builder.call(prefetch, [pointer, number(0), number(3), number(1)])  # read, keep, data
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), generate
+
+
+prefetch_row: Any = intrinsic(_prefetch)
+"""In a kernel, ``prefetch_row(array, row)`` asks for ``array[row]`` (2-D, row >= 0) to be brought
+into the cache, and does not wait for it."""
 
 
 def available_threads() -> int:

@@ -20,7 +20,7 @@ from gvr_core.rendering.binning import bin_piece, cursors
 from gvr_core.rendering.blending import blend_tiles
 from gvr_core.rendering.compiled import available_threads, run_pieces
 from gvr_core.rendering.inputs import checked_background, checked_mask
-from gvr_core.rendering.layout import DEPTH, ROW, TILE
+from gvr_core.rendering.layout import DEPTH, TILE, empty_rows
 from gvr_core.rendering.projection import camera_numbers, project
 from gvr_core.rendering.sorting import radix_argsort
 from gvr_core.rendering.spherical_harmonics import shade
@@ -117,7 +117,7 @@ class NumbaRenderer:
 
     def _project(self, gaussians: Gaussians, camera: Camera) -> tuple[FloatArray, IntArray]:
         n = len(gaussians)
-        rows = np.empty((n, ROW), np.float32)
+        rows = empty_rows(n)
         seen = np.empty(n, np.bool_)
         means, sh = np.ascontiguousarray(gaussians.means), np.ascontiguousarray(gaussians.sh)
         scales, quats = (
@@ -148,7 +148,7 @@ class NumbaRenderer:
     def _in_order(self, rows: FloatArray, order: IntArray) -> FloatArray:
         """Copies of the rows seen, front to back: binning and blending then read them in turn."""
         n, step = order.size, _GAUSSIANS_A_PIECE
-        ordered = np.empty((n, ROW), np.float32)
+        ordered = empty_rows(n)
 
         def copy_piece(piece: int) -> None:
             part = slice(piece * step, min((piece + 1) * step, n))
