@@ -16,7 +16,7 @@ from PIL import Image
 from gvr_core.atomic import atomic_write
 from gvr_core.errors import DatasetError
 
-FORMATS = ("PNG", "JPEG", "MPO", "WEBP", "TIFF", "BMP")
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
 """Formats that are decoded, by Pillow's names. MPO is what some phones write as ``.jpg``."""
 
 MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")

@@ -224,8 +224,12 @@ def check_labels(labels: NDArray[np.int16], n: int, objects: int, path: Path) ->
 
 
 def validation_error(error: ValidationError, path: Path, prefix: str = "") -> DatasetError:
-    """The first complaint of pydantic, as an error of this project: file, key, what is wrong."""
-    first = error.errors()[0]
+    """A complaint of pydantic as an error of this project: file, key, what is wrong.
+
+    A misspelt key is both unknown and, under its right name, missing: the former says more.
+    """
+    errors = error.errors()
+    first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
     place = prefix
     for part in first["loc"]:
         place += f"[{part}]" if isinstance(part, int) else f".{part}" if place else str(part)

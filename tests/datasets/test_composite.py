@@ -183,6 +183,9 @@ def test_a_scene_is_made_again_only_when_something_changed(
     monkeypatch.setattr(composite, "VERSION", composite.VERSION + 1)
     load()
     assert len(made) == 4
+    (tmp_path / "made/pair/scene.json").write_text("damaged")
+    load()
+    assert len(made) == 5
 
 
 RACE = """

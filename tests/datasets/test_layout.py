@@ -77,11 +77,11 @@ def test_bundled_layouts_differ() -> None:
     "old, new, words",
     [
         ("[ground]", "[grund]", "grund: an unknown key"),
-        ("height = 1.15", "hight = 1.15", "objects[0].height"),
+        ("height = 1.15", "hight = 1.15", "objects[0].hight: an unknown key"),
         ("height = 1.15", "height = 1.15\nhight = 2", "objects[0].hight: an unknown key"),
         ("height = 1.15", "height = 0", "objects[0].height"),
         ("height = 1.15", "height = nan", "objects[0].height"),
-        ("height = 1.15", "height = ", "line 14"),
+        ("height = 1.15", "height = ", "line 15"),
         ('file = "guitar.ply"', 'file = "../guitar.ply"', "objects[0].file"),
         ('file = "guitar.ply"', 'file = "guitar.obj"', "objects[0].file"),
         ('name = "guitar"', 'name = "gui/tar"', "objects[0].name: the object name 'gui/tar'"),

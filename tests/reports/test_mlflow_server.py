@@ -8,11 +8,13 @@ import sys
 from pathlib import Path
 from urllib.request import ProxyHandler, build_opener
 
+import psutil
 import pytest
 from conftest import Server
 
 from gvr_core.errors import ConfigError
-from reports.mlflow_server import ServerError, start_server
+from reports import mlflow_server
+from reports.mlflow_server import MlflowServer, ServerError, start_server
 from reports.mlflow_store import LocalStore
 
 
@@ -54,6 +56,7 @@ def test_a_silent_server_is_ended_and_its_words_shown(store: LocalStore) -> None
 
 SERVE = """
 import sys
+import time
 from pathlib import Path
 from reports.mlflow_server import serve_ui
 from reports.mlflow_store import LocalStore
@@ -78,11 +81,36 @@ def test_sigterm_ends_the_command_with_its_server(store: LocalStore) -> None:
         user.kill()
 
 
-def test_stopping_twice_does_no_harm(server: Server) -> None:
-    running = server.start()
+STUBBORN = """
+import signal, subprocess, time
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+worker = subprocess.Popen(["sleep", "60"])
+print(worker.pid, flush=True)
+time.sleep(60)
+"""
+
+
+def alive(process: int) -> bool:
+    try:
+        return psutil.Process(process).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def test_a_server_that_will_not_go_is_forced_with_its_workers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mlflow_server, "STOP_SECONDS", 0.2)
+    process = subprocess.Popen(
+        [sys.executable, "-c", STUBBORN], stdout=subprocess.PIPE, start_new_session=True
+    )
+    assert process.stdout is not None
+    worker = int(process.stdout.readline())
+    server = MlflowServer(process, "http://127.0.0.1:1", tmp_path / "log")
     server.stop()
-    running.stop()
-    assert running.process.returncode is not None
-    with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", server.port), timeout=5)
-    assert Path(running.log).read_text()
+    assert process.returncode == -signal.SIGKILL
+    assert (
+        psutil.wait_procs([psutil.Process(worker)] if psutil.pid_exists(worker) else [], 5)[1] == []
+    )
+    server.stop()
+    process.stdout.close()

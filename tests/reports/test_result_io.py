@@ -150,6 +150,13 @@ def test_separators_of_unicode_do_not_tear_lines(sample: Sample, tmp_path: Path)
     assert read_result(folder)[1] == [odd]
 
 
+def test_another_writers_unescaped_separators_do_not_either(result_folder: Path) -> None:
+    path = result_folder / "rows.jsonl"
+    path.write_text(path.read_text().replace('"the cup"', '"the\u2028cup"'), encoding="utf-8")
+    reseal(result_folder)
+    assert read_result(result_folder)[1][0].text == "the\u2028cup"
+
+
 def test_no_rows_at_all(sample: Sample, tmp_path: Path) -> None:
     result, _, pictures = sample
     assert read_result(write_result(tmp_path / "r", result, [], pictures)) == (result, [])
