@@ -8,9 +8,11 @@
     │   ├── CameraFormatError     a camera file or a COLMAP model
     │   ├── DatasetError          a data set's folder, masks, labels or queries
     │   ├── ConfigError           a suite file, or an unknown name of a method, scene, ...
-    │   └── ModelError            a model's weights or its name
+    │   ├── ModelError            a model's weights or its name
+    │   └── ResultError           a result's folder (reports.result_check)
     ├── StoreError            the artifact store: a damaged object, a record that is not ours
-    └── GroundingError        a method could not work on a valid scene
+    ├── SyncError             MLflow could not be filled (reports.mlflow_store)
+    └── ServerError           MLflow's pages could not be served (reports.mlflow_server)
 """
 
 from __future__ import annotations
@@ -72,10 +74,6 @@ class ModelError(InputError):
 
 class StoreError(GVRError):
     """The artifact store holds something damaged, or something that is not ours."""
-
-
-class GroundingError(GVRError):
-    """A method cannot work on this scene, although the scene itself is valid."""
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:

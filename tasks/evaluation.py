@@ -107,7 +107,7 @@ def draw_query(
     view, mask = views[best], masks[best]
     dyed = data.scene.gaussians.dyed(answer.flags, RED)
     image = renderer.render(dyed, view.camera).rgb
-    parts = [f"“{query.text}”"]
+    parts = []
     for scored in rows:
         if scored["protocol"] == IN_SCENE_2D and scored["view"] == view.name:
             parts.append(f"IoU {100 * scored['metrics']['iou']:.0f}")
@@ -117,4 +117,4 @@ def draw_query(
         parts.append("not in the scene")
     if not answer.found:
         parts.append("nothing found")
-    return query_picture(image, mask, " · ".join(parts))
+    return query_picture(image, mask, f"“{query.text}”\n{' · '.join(parts)}".strip())

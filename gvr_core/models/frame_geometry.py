@@ -28,13 +28,13 @@ which end the scene, from the flat faces of things, which have something behind 
 FROM_ABOVE = 0.9
 """Cosine between the optical axis and the normal of a support plane that is seen from above."""
 
-PEAK_SHARE = 0.5
-"""At least this part of a plane's points lies within a third of its tolerance. A slice through
-something round fills its tolerance evenly, and has a third there."""
+RIM_SHARE = 0.25
+"""In front of a support plane, between one and two tolerances, there are at most this many points
+for one on it. A slice through something round goes on there with half as many as it holds."""
 
 _TOLERANCE = 0.01
 """First tolerance of a plane's distance, relative to depth."""
-_TOLERANCE_RANGE = (0.0015, 0.012)
+_TOLERANCE_RANGE = (0.001, 0.012)
 """Bounds of the tolerance that is measured on the plane's own roughness."""
 _SAMPLE = 4000
 _TRIALS = 400
@@ -145,11 +145,11 @@ def _support_plane(
         inliers = (np.abs(residual) < _TOLERANCE) & free
         if inliers.sum() < 3:
             return None
-    inner = np.abs(residual[inliers]) < _TOLERANCE / 3
-    if inner.mean() < PEAK_SHARE:
+    rim = (residual >= _TOLERANCE) & (residual < 2 * _TOLERANCE) & free
+    if rim.sum() > RIM_SHARE * inliers.sum():
         return None
     spread = 1.4826 * float(np.median(np.abs(residual[inliers])))
-    tolerance = float(np.clip(4 * spread, *_TOLERANCE_RANGE))
+    tolerance = float(np.clip(3 * spread, *_TOLERANCE_RANGE))
     safe_depth = np.where(shown, depth, 1.0)
     distance: Float64Array = (rays @ normal) + offset / safe_depth
     return distance / tolerance, normal

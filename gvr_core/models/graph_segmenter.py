@@ -6,10 +6,10 @@ import hashlib
 import math
 from collections import OrderedDict
 from dataclasses import dataclass
+from importlib.metadata import version
 from threading import Lock
 
 import numpy as np
-import skimage
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from skimage.color import rgb2lab
@@ -40,13 +40,13 @@ class GraphSettings(BaseModel):
     """At most so many masks a frame; coarse and large ones are kept first."""
     same_iou: float = Field(default=0.9, gt=0, le=1)
     """Of two masks that overlap more than this, the coarser one is kept."""
-    colour_scales: tuple[float, ...] = (200.0, 1000.0)
+    colour_scales: tuple[float, ...] = (600.0,)
     """k of the graph-based segmentation of Lab / 100, times 255 as scikit-image has it; finest
     first. Colour never joins what depth keeps apart."""
-    geometry_scales: tuple[float, ...] = (1000.0, 10000.0)
-    """The same for disparity and support planes. Colour has no say there, so that things with a
-    busy surface stay whole."""
-    gap_limit: float = Field(default=0.5, ge=0)
+    geometry_scales: tuple[float, ...] = (3000.0,)
+    """The same for disparity and support planes: surfaces. Colour has no say there, so that
+    things with a busy pattern stay whole."""
+    gap_limit: float = Field(default=0.75, ge=0)
     """Surfaces whose gap in depth is less than this part of their size make one thing."""
     object_share: float = Field(default=0.7, gt=0, le=1)
     """A point prompt takes nothing larger than this share of the picture for a thing."""
@@ -70,10 +70,11 @@ class GraphSegmenter:
     """Graph-based segmentation of colour and depth, at several scales.
 
     Felzenszwalb and Huttenlocher, "Efficient Graph-Based Image Segmentation" (IJCV 2004), run by
-    scikit-image. The coarse levels look at disparity and at the support planes only, so that a
-    thing comes out whole however busy its surface is; the fine levels look at colour, inside the
-    regions of the finest of the coarse ones. A mask's score is the share of its outline that
-    runs along a geometric edge (:attr:`Outline.closed`), or 1 for all in a frame without depth.
+    scikit-image. Levels, from fine to coarse: patches of like colour; surfaces, by disparity and
+    support planes alone, so that they come out whole however busy their pattern is; things, by
+    joining surfaces that are near each other in depth. A finer level never crosses a border of
+    the surfaces. A mask's score is the share of its outline that runs along a geometric edge
+    (:attr:`Outline.closed`), or 1 for all in a frame without depth.
 
     Args:
         settings: Scales and limits.
@@ -88,7 +89,7 @@ class GraphSegmenter:
     def name(self) -> str:
         """Name, version, settings and version of the library that segments."""
         values = ",".join(f"{key}={value}" for key, value in self._settings.model_dump().items())
-        return f"onboard-graph/1({values},scikit-image={skimage.__version__})"
+        return f"onboard-graph/1({values},scikit-image={version('scikit-image')})"
 
     def automatic(self, frame: Frame) -> list[Mask]:
         """All patches, coarse to fine and large to small; an empty list where nothing is shown."""
@@ -127,7 +128,9 @@ class GraphSegmenter:
                 return max(things, key=lambda mask: mask.area)
         if not holding:
             return empty
-        best = max(holding, key=lambda p: (round(p.mask.score, 1), p.mask.area <= limit, p.mask.area))
+        best = max(
+            holding, key=lambda p: (round(p.mask.score, 1), p.mask.area <= limit, p.mask.area)
+        )
         return best.mask
 
     def in_box(self, frame: Frame, box: tuple[float, float, float, float]) -> Mask:

@@ -19,16 +19,20 @@ class RankedProposals:
     Args:
         segmenter: Makes the proposals.
         encoder: Compares them with the text.
+        min_score: Proposals whose own score is below are left out, unless all are: a segmenter
+            is less sure of fragments, and among many fragments one looks like anything.
     """
 
-    def __init__(self, segmenter: Segmenter, encoder: Encoder) -> None:
+    def __init__(self, segmenter: Segmenter, encoder: Encoder, min_score: float = 0.5) -> None:
+        self._min_score = min_score
         self._segmenter = segmenter
         self._encoder = encoder
 
     @property
     def name(self) -> str:
         """Name, version, and the two models it is made of."""
-        return f"onboard-ranked/1({self._segmenter.name},{self._encoder.name})"
+        parts = f"{self._segmenter.name},{self._encoder.name}"
+        return f"onboard-ranked/1(min_score={self._min_score},{parts})"
 
     def segment(self, frame: Frame, text: str) -> Mask | None:
         """The proposal most like the text.
@@ -44,6 +48,7 @@ class RankedProposals:
         proposals = self._segmenter.automatic(frame)
         if not proposals:
             return None
+        proposals = [m for m in proposals if m.score >= self._min_score] or proposals
         patches = self._encoder.encode_patches(frame, proposals)
         similarity = patches @ self._encoder.encode_texts([text])[0]
         best = int(np.argmax(similarity))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,22 +55,24 @@ class SentenceEmbedder:
         # Weights come from verified bytes; this keeps the library from looking anywhere else.
         os.environ.setdefault("HF_HUB_OFFLINE", "1")
         os.environ.setdefault("TOKENIZERS_PARALLELISM", "false")
-        from tokenizers import Tokenizer
-        from transformers.models.bert.configuration_bert import BertConfig
-        from transformers.models.bert.modeling_bert import BertModel
+        # importlib, since the libraries' own annotations are too partial to be checked against.
+        tokenizers: Any = import_module("tokenizers")
+        transformers: Any = import_module("transformers")
 
         config = load_json(installed_file(PACKAGE, "model/config.json"), CONFIG_SHA256)
         weights = installed_file(PACKAGE, "model/model.safetensors")
         state = dict(load_safetensors(weights, WEIGHTS_SHA256))
         state.pop("embeddings.position_ids", None)  # a buffer that newer libraries do not keep
-        self._bert: Any = BertModel(BertConfig(**config))
+        self._bert: Any = transformers.BertModel(transformers.BertConfig(**config))
         try:
             self._bert.load_state_dict(state)
         except RuntimeError as error:
             raise ModelError(f"does not fit BERT: {error}", path=weights) from error
         self._bert.eval()
-        tokenizer = verified_bytes(installed_file(PACKAGE, "model/tokenizer.json"), TOKENIZER_SHA256)
-        self._tokenizer = Tokenizer.from_buffer(tokenizer)
+        vocabulary = installed_file(PACKAGE, "model/tokenizer.json")
+        self._tokenizer = tokenizers.Tokenizer.from_buffer(
+            verified_bytes(vocabulary, TOKENIZER_SHA256)
+        )
         self._tokenizer.enable_truncation(MAX_TOKENS)
         self._tokenizer.enable_padding()
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -76,42 +74,26 @@ def _join(
 ) -> LabelArray:
     """Which region each region ends up in, (count,)."""
     into = np.arange(len(size))
-    size = size.copy()
-    neighbours: dict[int, dict[int, NDArray[np.float64]]] = {}
-    queue: list[tuple[float, int, int, int]] = []
+    steps, size = dict(gaps), size.copy()
 
-    def offer(a: int, b: int) -> None:
-        a, b = min(a, b), max(a, b)
-        steps = neighbours[a][b]
-        cost = float(np.percentile(steps, GAP_PERCENTILE) / np.sqrt(size[a] * size[b]))
-        if cost <= limit:
-            heapq.heappush(queue, (cost, a, b, len(steps)))
+    def cost(pair: tuple[int, int]) -> float:
+        mean = np.sqrt(size[pair[0]] * size[pair[1]])
+        return float(np.percentile(steps[pair], GAP_PERCENTILE) / mean)
 
-    for (a, b), steps in gaps.items():
-        neighbours.setdefault(a, {})[b] = steps
-        neighbours.setdefault(b, {})[a] = steps
-    for a, b in gaps:
-        offer(a, b)
-    alive = dict.fromkeys(neighbours, 0)
-    version: dict[int, float] = {a: size[a] for a in alive}
-    while queue:
-        cost, a, b, n = heapq.heappop(queue)
-        if a not in alive or b not in alive or b not in neighbours[a]:
-            continue
-        steps = neighbours[a][b]
-        now = float(np.percentile(steps, GAP_PERCENTILE) / np.sqrt(size[a] * size[b]))
-        if len(steps) != n or now != cost:
-            continue  # an older offer; the present one is in the queue as well
-        into[into == b] = a
-        size[a] = float(np.hypot(size[a], size[b]))
-        version[a] = size[a]
-        del alive[b], neighbours[a][b]
-        for other, border in neighbours.pop(b).items():
-            if other == a:
-                continue
-            del neighbours[other][b]
-            joined = np.concatenate([neighbours[a].get(other, border[:0]), border])
-            neighbours[a][other] = neighbours[other][a] = joined
-        for other in neighbours[a]:
-            offer(a, other)
+    costs = {pair: cost(pair) for pair in steps}
+    while costs:
+        pair = min(costs, key=lambda p: (costs[p], p))
+        if costs[pair] > limit:
+            break
+        kept, gone = pair
+        into[into == gone] = kept
+        size[kept] = np.hypot(size[kept], size[gone])
+        del steps[pair], costs[pair]
+        for old in [p for p in steps if gone in p]:
+            other = old[0] if old[1] == gone else old[1]
+            new = (min(kept, other), max(kept, other))
+            steps[new] = np.concatenate([steps.get(new, steps[old][:0]), steps[old]])
+            del steps[old], costs[old]
+        for touched in [p for p in steps if kept in p]:
+            costs[touched] = cost(touched)
     return into

@@ -35,18 +35,21 @@ IntArray = NDArray[np.int32]
 
 _ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 _ALPHA_MAX, _STOP = np.float32(ALPHA_MAX), np.float32(TRANSMITTANCE_MIN)
-_LINE = 16
-"""Numbers in a cache line."""
+_CACHE_LINE = 16
+"""In numbers of four bytes."""
 _LAST = np.float32(TILE - 1)
 _SLACK = np.float32(1e-3)
 """Pixels; keeps rounding of the covered lines from taking the decision on alpha."""
 _BATCH = 32
 """Gaussians between two looks at which rows of a tile are finished."""
 
-T_, R_, G_, B_, D_, M_ = 0, 16, 32, 48, 64, 80
-_ROW_STATE = 96
+# What is kept of a row of sixteen pixels: T (negative once blending has stopped there), the sums
+# of colour and depth, and the median depth.
+_T, _R, _G, _B, _D, _MEDIAN = 0, TILE, 2 * TILE, 3 * TILE, 4 * TILE, 5 * TILE
+STATE = 6 * TILE
+"""Numbers kept of a row of pixels."""
 
-# 2^t on [-1, 0], relative error below 1e-7 (Chebyshev interpolation, degree 5).
+# 2^t on [-1, 0]: the polynomial of degree 5 with the least relative error, 7.5e-8.
 _P0, _P1 = np.float32(0.9999999250634852), np.float32(0.6931422525915856)
 _P2, _P3 = np.float32(0.24017218923634062), np.float32(0.05527972254849632)
 _P4, _P5 = np.float32(0.00918861169470596), np.float32(0.0009387883226651354)
@@ -55,8 +58,8 @@ _P4, _P5 = np.float32(0.00918861169470596), np.float32(0.0009387883226651354)
 @inlined
 def _aligned(n: int) -> FloatArray:
     """(n,) float32 from the start of a cache line: a vector across two lines costs double."""
-    room = np.empty(n + _LINE, np.float32)
-    skip = (-room.ctypes.data // 4) % _LINE
+    room = np.empty(n + _CACHE_LINE, np.float32)
+    skip = (-room.ctypes.data // 4) % _CACHE_LINE
     return room[skip : skip + n]
 
 
@@ -67,7 +70,7 @@ def _living_lines(state: FloatArray) -> tuple[int, int]:
     for y in range(TILE):
         line, living = state[y], np.int32(0)
         for x in range(TILE):
-            living += np.int32(line[T_ + x] > _ZERO)
+            living += np.int32(line[_T + x] > _ZERO)
         if living > 0:
             first, last = min(first, y), y
     return first, last
@@ -129,7 +132,21 @@ def blend_row(
     mask: FloatArray | None,
     sums: FloatArray | None,
 ) -> None:
-    """Blend one Gaussian into sixteen pixels of a row: float32 and without branches."""
+    """Blend one Gaussian into sixteen pixels of a row: float32 and without branches.
+
+    Args:
+        state: (96,) float32, the row of pixels. One array, in which LLVM can see that the parts
+            do not overlap: else it would not use vectors.
+        u_left: A dx - B dy in the leftmost pixel.
+        a: A, what that grows by from pixel to pixel.
+        t_row: log2(opacity) / 8 - (C dy)^2.
+        red: Colour of the Gaussian, as the next two.
+        green: See ``red``.
+        blue: See ``red``.
+        depth: z of the Gaussian.
+        mask: (32,) float32, the mask in these pixels and 1 - mask, or None.
+        sums: (32,) float32, where the weights times those are added up, or None.
+    """
     prefer_wide_vectors()
     for x in range(TILE):
         u = u_left + a * np.float32(x)
@@ -140,20 +157,20 @@ def blend_row(
         power *= power
         power *= power
         alpha = min(power, _ALPHA_MAX)
-        before = state[T_ + x]
+        before = state[_T + x]
         after = before - alpha * before
         hit = t >= T_MIN
         goes_on = hit & (after > _STOP)
         left = after if goes_on else before
         weight = before - left
         stopped = -abs(before) if hit else before
-        state[T_ + x] = after if goes_on else stopped
-        state[R_ + x] += weight * red
-        state[G_ + x] += weight * green
-        state[B_ + x] += weight * blue
-        state[D_ + x] += weight * depth
-        median = state[M_ + x]
-        state[M_ + x] = depth if (before > _HALF) & (left <= _HALF) else median
+        state[_T + x] = after if goes_on else stopped
+        state[_R + x] += weight * red
+        state[_G + x] += weight * green
+        state[_B + x] += weight * blue
+        state[_D + x] += weight * depth
+        median = state[_MEDIAN + x]
+        state[_MEDIAN + x] = depth if (before > _HALF) & (left <= _HALF) else median
         if mask is not None and sums is not None:
             sums[x] += weight * mask[x]
             sums[TILE + x] += weight * mask[TILE + x]
@@ -196,10 +213,7 @@ def blend_tiles(
         outside: (P,) float32, likewise of (1 - mask) * alpha T.
     """
     height, width = alpha.shape
-    # Of each row of the tile: T, red, green, blue, depth, median depth, sixteen pixels each.
-    # T is kept negative where blending has stopped. One flat array, so that LLVM sees that
-    # the parts do not overlap and can use vectors.
-    state = _aligned(TILE * _ROW_STATE).reshape((TILE, _ROW_STATE))
+    state = _aligned(TILE * STATE).reshape((TILE, STATE))
     batch, lines_of = np.empty((_BATCH, ROW), np.float32), np.empty((_BATCH, 2), np.int32)
     if mask is not None:
         tile_mask = np.zeros((TILE, 2 * TILE), np.float32)
@@ -210,7 +224,7 @@ def blend_tiles(
         state[:, :] = _ZERO
         for y in range(TILE):
             for x in range(TILE):
-                state[y, T_ + x] = _ONE if (y < lines and x < columns) else -_ONE
+                state[y, _T + x] = _ONE if (y < lines and x < columns) else -_ONE
         if mask is not None:
             for y in range(lines):
                 for x in range(columns):
@@ -247,13 +261,13 @@ def blend_tiles(
                     outside[first_of_batch + n] = sums[TILE:].sum()
         for y in range(lines):
             for x in range(columns):
-                rest = abs(state[y, T_ + x])
+                rest = abs(state[y, _T + x])
                 covered = _ONE - rest
-                rgb[top + y, left + x, 0] = state[y, R_ + x] + rest * background[0]
-                rgb[top + y, left + x, 1] = state[y, G_ + x] + rest * background[1]
-                rgb[top + y, left + x, 2] = state[y, B_ + x] + rest * background[2]
+                rgb[top + y, left + x, 0] = state[y, _R + x] + rest * background[0]
+                rgb[top + y, left + x, 1] = state[y, _G + x] + rest * background[1]
+                rgb[top + y, left + x, 2] = state[y, _B + x] + rest * background[2]
                 alpha[top + y, left + x] = covered
                 expected_depth[top + y, left + x] = (
-                    state[y, D_ + x] / covered if covered > _ZERO else _ZERO
+                    state[y, _D + x] / covered if covered > _ZERO else _ZERO
                 )
-                median_depth[top + y, left + x] = state[y, M_ + x]
+                median_depth[top + y, left + x] = state[y, _MEDIAN + x]

@@ -33,7 +33,7 @@ def checked_background(background: tuple[float, float, float]) -> FloatArray:
 
 
 def checked_mask(mask: FloatArray | NDArray[np.bool_], camera: Camera) -> FloatArray:
-    """A mask as a contiguous array.
+    """A mask as a contiguous, writable array, the one kind that kernels are compiled for.
 
     Args:
         mask: (H, W) of the camera's picture, in [0, 1]; a bool mask is taken as 0 and 1.
@@ -45,7 +45,7 @@ def checked_mask(mask: FloatArray | NDArray[np.bool_], camera: Camera) -> FloatA
     Raises:
         InputError: for another shape, or a number outside [0, 1].
     """
-    array = np.ascontiguousarray(mask, dtype=np.float32)
+    array = np.require(mask, np.float32, ["C", "A", "W"])
     if array.shape != (camera.height, camera.width):
         raise InputError(
             f"the mask has shape {array.shape}",

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from gvr_core.cameras import Camera
 from gvr_core.gaussians import Gaussians
 from gvr_core.rendering.base import ALPHA_MIN, TRANSMITTANCE_MIN
+from gvr_core.rendering.torch_projection import project
 from gvr_core.rendering.torch_reference import (
-    TorchReference,
     alphas,
     blocks,
     counted,
@@ -46,7 +46,7 @@ def decision_margins(gaussians: Gaussians, camera: Camera) -> Margins:
         camera: Where from.
     """
     out = torch.full((3, camera.height, camera.width), torch.inf, dtype=torch.float64)
-    projected = TorchReference().project(gaussians, camera)
+    projected = project(gaussians, camera, torch.float64)
     for block, chunks in blocks(projected, camera):
         pixels = pixel_centres(block, torch.float64)
         product = torch.ones_like(pixels[:, 0])
@@ -59,4 +59,6 @@ def decision_margins(gaussians: Gaussians, camera: Camera) -> Margins:
                 nearest = torch.where(reached, (values - 1).abs(), torch.inf).amin(dim=1)
                 part = out[n][block]
                 part.copy_(torch.minimum(part, nearest.reshape(part.shape)))
+            if product.max() <= TRANSMITTANCE_MIN:
+                break
     return Margins(*out.numpy())

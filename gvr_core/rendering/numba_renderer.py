@@ -8,12 +8,13 @@ does not depend on the number of threads: every sum has one owner and one order.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gvr_core.cameras import Camera
+from gvr_core.errors import ConfigError
 from gvr_core.gaussians import Gaussians
 from gvr_core.rendering.base import Rendering
 from gvr_core.rendering.binning import bin_piece, cursors
@@ -31,7 +32,6 @@ IntArray = NDArray[np.int32]
 
 _GAUSSIANS_A_PIECE = 16384
 _TILES_A_PIECE = 20
-_BINNING_PIECES = 8
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class StageSeconds:
     """Projection and colour."""
     sort: float
     bin: float
-    blend: float
+    blend: float = 0.0
     """Blending, and the sums of a mask's weights."""
 
     @property
@@ -51,15 +51,37 @@ class StageSeconds:
         return self.project + self.sort + self.bin + self.blend
 
 
+@dataclass(frozen=True, eq=False)
+class Binned:
+    """The n Gaussians seen, front to back, and the tiles that they touch."""
+
+    rows: FloatArray
+    """(n, 16), see :mod:`gvr_core.rendering.layout`."""
+    order: IntArray
+    """(n,) their numbers in the set."""
+    tiles: tuple[int, int]
+    """Tiles in a row, and rows of tiles."""
+    first_pair: NDArray[np.int64]
+    """(tiles + 1,) where each tile's pairs begin."""
+    pairs: IntArray
+    """(P,) places in ``rows``, of each tile in turn, front to back."""
+    seconds: StageSeconds
+
+
 class NumbaRenderer:
     """Draws Gaussians on the CPU; safe to use from several threads, and after a fork.
 
     Args:
         threads: Most threads to use; None for all processors that the process may use.
+
+    Raises:
+        ConfigError: for less than one thread.
     """
 
     def __init__(self, threads: int | None = None) -> None:
-        self.threads = available_threads() if threads is None else max(1, threads)
+        if threads is not None and threads < 1:
+            raise ConfigError(f"{threads} threads to render with", accepted="1 or more")
+        self.threads = available_threads() if threads is None else threads
 
     @property
     def name(self) -> str:
@@ -100,6 +122,18 @@ class NumbaRenderer:
         """
         colour = checked_background(background)
         portion = None if mask is None else checked_mask(mask, camera)
+        binned = self.project_and_bin(gaussians, camera)
+        start = time.perf_counter()
+        rendering = self._blend(len(gaussians), camera, binned, colour, portion)
+        return rendering, replace(binned.seconds, blend=time.perf_counter() - start)
+
+    def project_and_bin(self, gaussians: Gaussians, camera: Camera) -> Binned:
+        """All that comes before blending.
+
+        Args:
+            gaussians: The set to draw.
+            camera: Where from.
+        """
         times = [time.perf_counter()]
         rows, seen = self._project(gaussians, camera)
         times.append(time.perf_counter())
@@ -109,11 +143,7 @@ class NumbaRenderer:
         tiles = (-(-camera.width // TILE), -(-camera.height // TILE))
         first_pair, pairs = self._bin(rows, tiles)
         times.append(time.perf_counter())
-        rendering = self._blend(
-            len(gaussians), camera, rows, order, tiles, first_pair, pairs, colour, portion
-        )
-        times.append(time.perf_counter())
-        return rendering, StageSeconds(*np.diff(times).tolist())
+        return Binned(rows, order, tiles, first_pair, pairs, StageSeconds(*np.diff(times).tolist()))
 
     def _project(self, gaussians: Gaussians, camera: Camera) -> tuple[FloatArray, IntArray]:
         n = len(gaussians)
@@ -159,7 +189,7 @@ class NumbaRenderer:
         return ordered
 
     def _bin(self, rows: FloatArray, tiles: tuple[int, int]) -> tuple[NDArray[np.int64], IntArray]:
-        pieces = _BINNING_PIECES
+        pieces = 4 * self.threads
         edges = np.linspace(0, len(rows), pieces + 1).astype(np.int64)
         cursor = np.zeros((pieces, tiles[0] * tiles[1]), np.int64)
         first_pair = np.empty(tiles[0] * tiles[1] + 1, np.int64)
@@ -179,32 +209,30 @@ class NumbaRenderer:
         self,
         n: int,
         camera: Camera,
-        rows: FloatArray,
-        order: IntArray,
-        tiles: tuple[int, int],
-        first_pair: NDArray[np.int64],
-        pairs: IntArray,
+        binned: Binned,
         background: FloatArray,
         mask: FloatArray | None,
     ) -> Rendering:
         shape = camera.height, camera.width
         rgb = np.empty((*shape, 3), np.float32)
         alpha, expected, median = (np.empty(shape, np.float32) for _ in range(3))
+        pairs, columns = binned.pairs, binned.tiles[0]
         inside = None if mask is None else np.zeros(pairs.size, np.float32)
         outside = None if mask is None else np.zeros(pairs.size, np.float32)
-        count, step = tiles[0] * tiles[1], _TILES_A_PIECE
+        count, step = columns * binned.tiles[1], _TILES_A_PIECE
 
         def blend_piece(piece: int) -> None:
             span = piece * step, min((piece + 1) * step, count)
             blend_tiles(
-                *span, first_pair, pairs, rows, tiles[0], background,
+                *span, binned.first_pair, pairs, binned.rows, columns, background,
                 rgb, alpha, expected, median, mask, inside, outside,
             )  # fmt: skip
 
         run_pieces(blend_piece, -(-count // step), self.threads)
         if inside is None or outside is None:
             return Rendering(rgb, alpha, expected, median)
+        seen = binned.order.size
         sums = np.zeros((2, n), np.float32)
-        sums[0, order] = sum_pairs(order.size, pairs, inside)
-        sums[1, order] = sum_pairs(order.size, pairs, outside)
+        sums[0, binned.order] = sum_pairs(seen, pairs, inside)
+        sums[1, binned.order] = sum_pairs(seen, pairs, outside)
         return Rendering(rgb, alpha, expected, median, sums[0], sums[1])

@@ -39,7 +39,7 @@ FloatArray = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 
 _ZERO, _ONE, _TWO, _EIGHTH = np.float32(0), np.float32(1), np.float32(2), np.float32(0.125)
-_TINY, _HUGE = np.float32(1e-24), np.float32(1e30)
+_TINY, _HUGE = np.float32(1e-24), np.float32(1e36)
 _LOW_PASS, _ALPHA_MIN, _NEAR = np.float32(LOW_PASS), np.float32(ALPHA_MIN), np.float32(NEAR)
 _KAPPA = np.float32(EXPONENT_SCALE)
 _REACH = np.float32(1 / EXPONENT_SCALE)

@@ -2,7 +2,7 @@
 
 It is the oracle of the tests and the yardstick of the benchmark. It shares the constants of
 ``base`` with the CPU renderer and nothing else. Sources: EWA splatting (Zwicker et al., 2001),
-3D Gaussian Splatting (Kerbl et al., 2023, equations 2, 3 and 5), gsplat's conventions.
+3D Gaussian Splatting (Kerbl et al., 2023), gsplat's conventions.
 """
 
 from __future__ import annotations
@@ -21,12 +21,11 @@ from gvr_core.gaussians import Gaussians
 from gvr_core.rendering.base import (
     ALPHA_MAX,
     ALPHA_MIN,
-    LOW_PASS,
-    NEAR,
     TRANSMITTANCE_MIN,
     Rendering,
 )
 from gvr_core.rendering.inputs import checked_background, checked_mask
+from gvr_core.rendering.torch_projection import Projected, project
 
 FloatArray = NDArray[np.float32]
 
@@ -36,34 +35,6 @@ _CHUNK = 512
 """Gaussians blended at once; bounds the memory."""
 _REACH = math.sqrt(2 * math.log(1 / ALPHA_MIN))
 """Standard deviations beyond which alpha is below 1/255, whatever the opacity."""
-
-
-@dataclass(frozen=True, eq=False)
-class Projected:
-    """The n Gaussians in front of the camera, front to back."""
-
-    index: Tensor
-    """(n,) int64, their numbers in the set."""
-    mean: Tensor
-    """(n, 2) pixels."""
-    covariance: Tensor
-    """(n, 2, 2) pixels squared, low-pass added."""
-    depth: Tensor
-    """(n,) z in the camera frame, scene units."""
-    opacity: Tensor
-    """(n,)."""
-    colour: Tensor
-    """(n, 3)."""
-
-    def __getitem__(self, which: Tensor | slice) -> Projected:
-        return Projected(
-            self.index[which],
-            self.mean[which],
-            self.covariance[which],
-            self.depth[which],
-            self.opacity[which],
-            self.colour[which],
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +74,7 @@ class TorchReference:
         """Name and version of the backend."""
         return f"torch-reference/1/{str(self.dtype).removeprefix('torch.')}"
 
+    @torch.inference_mode()
     def render(
         self,
         gaussians: Gaussians,
@@ -115,13 +87,13 @@ class TorchReference:
         Raises:
             InputError: for a background or a mask that does not fit.
         """
-        behind = torch.from_numpy(checked_background(background)).to(self.dtype)
+        behind = torch.tensor(checked_background(background), dtype=self.dtype)
         portion = None
         if mask is not None:
-            portion = torch.from_numpy(checked_mask(mask, camera)).to(self.dtype)
+            portion = torch.tensor(checked_mask(mask, camera), dtype=self.dtype)
         picture = torch.zeros(camera.height, camera.width, 6, dtype=self.dtype)
         sums = torch.zeros(2, len(gaussians), dtype=self.dtype)
-        projected = self.project(gaussians, camera)
+        projected = project(gaussians, camera, self.dtype)
         for block, chunks in blocks(projected, camera):
             pixels = pixel_centres(block, self.dtype)
             done = Blended.nothing(pixels)
@@ -148,52 +120,6 @@ class TorchReference:
             weight_inside=None if portion is None else weights_out[0],
             weight_outside=None if portion is None else weights_out[1],
         )
-
-    def project(self, gaussians: Gaussians, camera: Camera) -> Projected:
-        """All Gaussians in front of the camera, in order of depth; ties in order of index."""
-        means, scales, quats, opacity, sh = (
-            torch.from_numpy(array).to(self.dtype)
-            for array in (
-                gaussians.means,
-                gaussians.scales,
-                gaussians.quats,
-                gaussians.opacities,
-                gaussians.sh,
-            )
-        )
-        pose = torch.from_numpy(camera.world_to_camera).to(self.dtype)
-        rotation, translation = pose[:3, :3], pose[:3, 3]
-        local = means @ rotation.T + translation
-        # Depths are told apart as float32, as by every renderer that sorts them.
-        depth, order = torch.sort(local[:, 2].to(torch.float32), stable=True)
-        order = order[depth >= NEAR]
-        x, y, z = local[order].unbind(1)
-        fx, fy, cx, cy = (float(camera.K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
-
-        # The Jacobian of the projection, taken within 1.3 times the field of view.
-        margin_x, margin_y = 0.3 * camera.width / (2 * fx), 0.3 * camera.height / (2 * fy)
-        tx = z * (x / z).clamp(-cx / fx - margin_x, (camera.width - cx) / fx + margin_x)
-        ty = z * (y / z).clamp(-cy / fy - margin_y, (camera.height - cy) / fy + margin_y)
-        zero = torch.zeros_like(z)
-        jacobian = torch.stack(
-            [
-                torch.stack([fx / z, zero, -fx * tx / z**2], dim=1),
-                torch.stack([zero, fy / z, -fy * ty / z**2], dim=1),
-            ],
-            dim=1,
-        )
-        axes = rotation_matrices(quats[order]) * scales[order][:, None, :]
-        sigma = axes @ axes.transpose(1, 2)
-        to_picture = jacobian @ rotation
-        covariance = to_picture @ sigma @ to_picture.transpose(1, 2)
-        covariance = covariance + LOW_PASS * torch.eye(2, dtype=self.dtype)
-
-        direction = means[order] - torch.from_numpy(camera.position).to(self.dtype)
-        direction = torch.nn.functional.normalize(direction, dim=1)
-        basis = spherical_harmonics(direction, gaussians.sh_degree)
-        colour = (0.5 + torch.einsum("nk,nkc->nc", basis, sh[order])).clamp(min=0)
-        mean = torch.stack([fx * x / z + cx, fy * y / z + cy], dim=1)
-        return Projected(order, mean, covariance, z, opacity[order], colour)
 
 
 Block = tuple[slice, slice]
@@ -279,54 +205,3 @@ def blend(done: Blended, projected: Projected, alpha: Tensor) -> tuple[Blended, 
         ),
         weights,
     )
-
-
-def rotation_matrices(quats: Tensor) -> Tensor:
-    """Rotations (n, 3, 3) of quaternions (n, 4), scalar first, normalised here."""
-    w, x, y, z = torch.nn.functional.normalize(quats, dim=1).unbind(1)
-    return torch.stack(
-        [
-            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], dim=1),
-            torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], dim=1),
-            torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], dim=1),
-        ],
-        dim=1,
-    )
-
-
-def spherical_harmonics(direction: Tensor, degree: int) -> Tensor:
-    """Real spherical harmonics up to a degree, with the signs of Kerbl et al. (2023).
-
-    Args:
-        direction: (n, 3) unit vectors from the camera to the means.
-        degree: 0 to 3.
-
-    Returns:
-        (n, (degree + 1)^2).
-    """
-    x, y, z = direction.unbind(1)
-    pi = math.pi
-    basis = [torch.full_like(x, math.sqrt(1 / (4 * pi)))]
-    if degree >= 1:
-        c = math.sqrt(3 / (4 * pi))
-        basis += [-c * y, c * z, -c * x]
-    if degree >= 2:
-        c = math.sqrt(15 / (4 * pi))
-        basis += [
-            c * x * y,
-            -c * y * z,
-            math.sqrt(5 / (16 * pi)) * (3 * z * z - 1),
-            -c * x * z,
-            c / 2 * (x * x - y * y),
-        ]
-    if degree >= 3:
-        basis += [
-            -math.sqrt(35 / (32 * pi)) * y * (3 * x * x - y * y),
-            math.sqrt(105 / (4 * pi)) * x * y * z,
-            -math.sqrt(21 / (32 * pi)) * y * (5 * z * z - 1),
-            math.sqrt(7 / (16 * pi)) * z * (5 * z * z - 3),
-            -math.sqrt(21 / (32 * pi)) * x * (5 * z * z - 1),
-            math.sqrt(105 / (16 * pi)) * z * (x * x - y * y),
-            -math.sqrt(35 / (32 * pi)) * x * (x * x - 3 * y * y),
-        ]
-    return torch.stack(basis, dim=1)

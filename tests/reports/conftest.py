@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from killable_server import Server
 from record_samples import Sample, make_sample
 
-from reports.mlflow_server import MlflowServer, start_server
 from reports.mlflow_store import LocalStore, create_store
 from reports.result_io import write_result
 
@@ -49,31 +48,6 @@ def store(_empty_database: Path, tmp_path: Path) -> LocalStore:
     made.folder.mkdir()
     shutil.copy(_empty_database, made.database)
     return made
-
-
-class Server:
-    """A real MLflow server that tests may kill; each finds it running."""
-
-    def __init__(self, store: LocalStore) -> None:
-        self.store = store
-        self.running: MlflowServer | None = None
-        self.port = 0
-
-    def start(self) -> MlflowServer:
-        if self.running is None:
-            self.running = start_server(self.port, store=self.store)
-            self.port = int(self.running.url.rsplit(":", 1)[1])
-        return self.running
-
-    def kill(self) -> None:
-        if self.running is not None:
-            os.killpg(self.running.process.pid, signal.SIGKILL)
-            self.stop()
-
-    def stop(self) -> None:
-        if self.running is not None:
-            self.running.stop()
-            self.running = None
 
 
 @pytest.fixture(scope="session")

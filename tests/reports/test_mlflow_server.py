@@ -10,7 +10,7 @@ from urllib.request import ProxyHandler, build_opener
 
 import psutil
 import pytest
-from conftest import Server
+from killable_server import Server
 
 from gvr_core.errors import ConfigError
 from reports import mlflow_server

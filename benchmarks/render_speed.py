@@ -1,0 +1,262 @@
+"""How fast the CPU renderer is: ``python benchmarks/render_speed.py``.
+
+Prints the time of each stage (minima over repeats), the ratio to the torch reference, and the
+ratio of blending to what its arithmetic alone would take on the same machine in the same minute.
+
+The scenes are surfaces, as captures are: half of the Gaussians lie on the six sides of a room of
+6 x 4 x 3, half on twelve spheres in it, flat along the surface (a tenth as thick as wide), 0.6 of
+their mean spacing wide with a log-normal spread of 0.5, opacities sigmoid(normal(1.5, 2)),
+spherical harmonics of degree 3. The camera stands in a corner of the room and sees about 60 % of
+them. More Gaussians are smaller ones, so that the picture stays the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from numba import njit
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from gvr_core.cameras import Camera, intrinsics, look_at
+from gvr_core.gaussians import Gaussians
+from gvr_core.rendering.blending import STATE, blend_row
+from gvr_core.rendering.compiled import run_pieces
+from gvr_core.rendering.layout import MEAN_X, MEAN_Y, T0, T_MIN, TILE, A, B, C
+from gvr_core.rendering.numba_renderer import Binned, NumbaRenderer, StageSeconds
+from gvr_core.rendering.torch_reference import TorchReference
+
+SIZES = ((640, 480), (988, 731))
+TORCH_BAR, BLEND_BAR = 20.0, 7.0
+
+
+def surface_scene(n: int, seed: int = 0) -> Gaussians:
+    """The scene of the module's description.
+
+    Args:
+        n: Number of Gaussians.
+        seed: Of the random numbers.
+    """
+    rng = np.random.default_rng(seed)
+    room, on_walls = np.array([6.0, 4.0, 3.0]), n // 2
+    side = rng.integers(0, 6, on_walls)
+    walls = (rng.random((on_walls, 3)) - 0.5) * room
+    rows = np.arange(on_walls)
+    walls[rows, side % 3] = np.where(side < 3, -0.5, 0.5) * room[side % 3]
+    wall_normals = np.zeros((on_walls, 3))
+    wall_normals[rows, side % 3] = 1
+    centres, radii = (rng.random((12, 3)) - 0.5) * room * 0.7, rng.uniform(0.2, 0.5, 12)
+    ball = rng.integers(0, 12, n - on_walls)
+    outward = rng.normal(size=(n - on_walls, 3))
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    means = np.concatenate([walls, centres[ball] + radii[ball, None] * outward])
+    normals = np.concatenate([wall_normals, outward])
+
+    area = 2 * (6 * 4 + 6 * 3 + 4 * 3) + 4 * np.pi * (radii**2).sum()
+    scales = 0.6 * np.sqrt(area / n) * np.exp(rng.normal(0, 0.5, (n, 3)))
+    scales[:, 2] *= 0.1
+    quats = np.column_stack([1 + normals[:, 2], np.cross([0, 0, 1], normals)])
+    quats[np.linalg.norm(quats, axis=1) < 1e-6] = (0, 1, 0, 0)
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    sh = rng.normal(0, 0.1, (n, 16, 3))
+    sh[:, 0] = rng.normal(0, 1, (n, 3))
+    opacities = 1 / (1 + np.exp(-rng.normal(1.5, 2, n)))
+    arrays = (np.asarray(a, np.float32) for a in (means, scales, quats, opacities, sh))
+    return Gaussians(*arrays)
+
+
+def corner_camera(width: int, height: int) -> Camera:
+    pose = look_at([2.5, 1.2, 0.3], [-1, -0.5, -0.2], [0, 0, 1])
+    return Camera(intrinsics(60, width, height), pose, width, height)
+
+
+def least(repeats: int, work: Callable[[], float]) -> float:
+    """The least of some timings, seconds."""
+    return min(work() for _ in range(repeats))
+
+
+def seconds_of(work: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def _blend_rows(times: int, state: NDArray[np.float32], values: NDArray[np.float32]) -> None:
+    """The blending's arithmetic and nothing else: all rows of one tile, again and again."""
+    for n in range(times):
+        a = values[n & 63]
+        for y in range(TILE):
+            shift = np.float32(y)
+            blend_row(state[y], a * shift, a, a * a - shift, a, a, a, a, None, None)
+
+
+def pairs_a_second(threads: int) -> float:
+    """(Gaussian, pixel) pairs a second that the blending's arithmetic can do, all threads."""
+    times, line = 20_000, 16
+    values = np.linspace(0.01, 0.3, 64, dtype=np.float32)
+    states = []
+    for _ in range(threads):
+        room = np.zeros(TILE * STATE + line, np.float32)
+        skip = (-room.ctypes.data // 4) % line  # as the renderer aligns its own
+        states.append(room[skip : skip + TILE * STATE].reshape(TILE, STATE))
+    _blend_rows(1, states[0], values)
+
+    def all_threads() -> float:
+        return seconds_of(
+            lambda: run_pieces(lambda n: _blend_rows(times, states[n], values), threads, threads)
+        )
+
+    return threads * times * TILE * TILE / least(10, all_threads)
+
+
+@njit(nogil=True, error_model="numpy")
+def _pairs_drawn(
+    first_pair: NDArray[np.int64],
+    pairs: NDArray[np.int32],
+    rows: NDArray[np.float32],
+    tiles_x: int,
+    width: int,
+    height: int,
+) -> int:
+    drawn = 0
+    for tile in range(first_pair.shape[0] - 1):
+        left, top = tile % tiles_x * TILE, tile // tiles_x * TILE
+        for y in range(top, min(top + TILE, height)):
+            for x in range(left, min(left + TILE, width)):
+                through = 1.0
+                for pair in range(first_pair[tile], first_pair[tile + 1]):
+                    row = rows[pairs[pair]]
+                    dx, dy = x + 0.5 - row[MEAN_X], y + 0.5 - row[MEAN_Y]
+                    t = row[T0] - (row[A] * dx - row[B] * dy) ** 2 - (row[C] * dy) ** 2
+                    if t >= T_MIN:
+                        drawn += 1
+                        through *= 1 - min(2 ** (8 * t), 0.999)
+                        if through <= 1e-4:
+                            break
+    return drawn
+
+
+def pairs_drawn(binned: Binned, camera: Camera) -> int:
+    """Pairs with an alpha of 1/255 or more, up to the stop: the least that must be blended."""
+    return int(
+        _pairs_drawn(
+            binned.first_pair,
+            binned.pairs,
+            binned.rows,
+            binned.tiles[0],
+            camera.width,
+            camera.height,
+        )
+    )
+
+
+def stage_minima(timings: list[StageSeconds]) -> StageSeconds:
+    """The least time of each stage over some renders, seconds."""
+    names = ("project", "sort", "bin", "blend")
+    return StageSeconds(*(min(getattr(timing, name) for timing in timings) for name in names))
+
+
+def linear_fit(points: list[tuple[int, int, float]]) -> tuple[NDArray[np.float64], float]:
+    """Least squares of seconds = a + b pixels + c Gaussians, and the share explained (R^2)."""
+    pixels, counts, seconds = (np.array(column, np.float64) for column in zip(*points, strict=True))
+    design = np.column_stack([np.ones_like(pixels), pixels, counts])
+    solution = np.linalg.lstsq(design, seconds, rcond=None)[0]
+    rest = seconds - design @ solution
+    return solution, 1 - float(rest @ rest / ((seconds - seconds.mean()) ** 2).sum())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--counts", type=int, nargs="+", default=[50_000, 200_000, 1_000_000])
+    parser.add_argument("--repeats", type=int, default=12)
+    parser.add_argument("--threads", type=int, default=None)
+    parser.add_argument("--without-torch", action="store_true")
+    arguments = parser.parse_args()
+    renderer, console = NumbaRenderer(arguments.threads), Console()
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
+    first = seconds_of(lambda: renderer.render(surface_scene(100), corner_camera(64, 48)))
+    console.print(
+        f"{renderer.name}, {renderer.threads} threads, load {load:.1f}; first render {first:.1f} s "
+        f"(compiling, or loading compiled code); minima of {arguments.repeats}, milliseconds"
+    )
+
+    stages = Table("Gaussians", "picture", "seen", title="Time by stage")
+    for name in ("project", "sort", "bin", "blend", "total", "with a mask"):
+        stages.add_column(name, justify="right")
+    limits = Table("Gaussians", "picture", title="Blending against its arithmetic")
+    for name in ("pairs drawn", "Gpairs/s", "least", "blend", "ratio"):
+        limits.add_column(name, justify="right")
+    points = []
+    for count in arguments.counts:
+        gaussians = surface_scene(count)
+        for width, height in SIZES:
+            camera, size = corner_camera(width, height), f"{width}x{height}"
+            runs = range(arguments.repeats)
+            timings = [renderer.render_timed(gaussians, camera)[1] for _ in runs]
+            rate = pairs_a_second(renderer.threads)
+            mask = np.ones((height, width), np.float32)
+            masked = [renderer.render_timed(gaussians, camera, mask=mask)[1] for _ in runs]
+            best, total = stage_minima(timings), min(timing.total for timing in timings)
+            binned = renderer.project_and_bin(gaussians, camera)
+            drawn = pairs_drawn(binned, camera)
+            points.append((width * height, count, total))
+            times = (best.project, best.sort, best.bin, best.blend, total)
+            times = (*times, min(timing.total for timing in masked))
+            seen = f"{binned.order.size:,}"
+            stages.add_row(f"{count:,}", size, seen, *(f"{1e3 * t:.1f}" for t in times))
+            ratio = best.blend * rate / drawn
+            bar = count <= 200_000
+            verdict = "" if not bar else " ok" if ratio <= BLEND_BAR else " above the bar"
+            limits.add_row(
+                *(f"{count:,}", size, f"{drawn:,}", f"{rate / 1e9:.2f}"),
+                *(f"{1e3 * drawn / rate:.1f}", f"{1e3 * best.blend:.1f}", f"{ratio:.1f}{verdict}"),
+            )
+    console.print(stages)
+    (constant, per_pixel, per_gaussian), explained = linear_fit(points)
+    console.print(
+        f"Fit: {1e3 * constant:.1f} ms + {1e9 * per_pixel:.0f} ns a pixel + "
+        f"{1e6 * per_gaussian:.3f} us a Gaussian; R^2 = {explained:.3f}"
+    )
+    console.print(limits)
+    console.print(
+        f"A pair is drawn where its alpha is 1/255 or more, before the stop; bar {BLEND_BAR:.0f} "
+        "up to 200,000."
+    )
+    if not arguments.without_torch:
+        console.print(torch_table(renderer, arguments.repeats))
+
+
+def torch_table(renderer: NumbaRenderer, repeats: int) -> Table:
+    """The CPU renderer and the torch reference in turns, 200,000 Gaussians at 640 x 480."""
+    gaussians, camera = surface_scene(200_000), corner_camera(640, 480)
+    table = Table("renderer", title="200,000 Gaussians, 640x480: against the torch reference")
+    for name in ("ms", "ratio"):
+        table.add_column(name, justify="right")
+    twins = [TorchReference(torch.float32), TorchReference(torch.float64)]
+    times = {twin.name: float("inf") for twin in twins}
+    ours = float("inf")
+    for _ in range(3):
+        for twin in twins:
+            work = lambda twin=twin: twin.render(gaussians, camera)  # noqa: E731
+            times[twin.name] = min(times[twin.name], seconds_of(work))
+        ours = min(
+            ours,
+            least(repeats, lambda: seconds_of(lambda: renderer.render(gaussians, camera))),
+        )
+    table.add_row(renderer.name, f"{1e3 * ours:.1f}", "")
+    for name, seconds in times.items():
+        verdict = "ok" if seconds / ours >= TORCH_BAR else "below the bar"
+        table.add_row(name, f"{1e3 * seconds:.0f}", f"{seconds / ours:.0f}x {verdict}")
+    table.caption = f"bar: {TORCH_BAR:.0f}x"
+    return table
+
+
+if __name__ == "__main__":
+    main()
