@@ -110,9 +110,12 @@ def show(
         str, typer.Argument(help="A result's folder or its id; the newest where left out.")
     ] = "",
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
+    sheet: Annotated[
+        Path | None, typer.Option(help="Also write the pictures side by side into this .png.")
+    ] = None,
 ) -> None:
     """Print the tables of a result again."""
-    commands.show(result, results_root(), markdown)
+    commands.show(result, results_root(), markdown, sheet)
 
 
 @app.command()

@@ -11,11 +11,13 @@ from rich.table import Table
 from datasets.own import own_scene
 from flows.places import home
 from flows.suite import override, read_suite, resolve_scenes
+from gvr_core.atomic import atomic_write
 from gvr_core.errors import unknown_name
 from gvr_core.methods import check_method
 from reports import tables
 from reports.mlflow_store import SyncError, default_tracking_uri
-from reports.record import Result
+from reports.pictures import contact_sheet
+from reports.record import Result, Row
 from reports.result_io import list_results, read_result
 from tasks.store import Store
 
@@ -63,7 +65,7 @@ def run(
     return 2 if outcome.bad_input else 1
 
 
-def print_tables(result: Result, rows: Sequence[object]) -> None:
+def print_tables(result: Result, rows: Sequence[Row]) -> None:
     """The tables of a result, for a terminal."""
     parts: list[RenderableType] = [
         tables.headline(result, rows),
@@ -120,13 +122,30 @@ def find_result(name: str, root: Path) -> Path:
     return matches[0]
 
 
-def show(name: str, root: Path, markdown: bool) -> None:
-    """``gvr show``: the tables of a result again."""
-    result, rows = read_result(find_result(name, root))
+def show(name: str, root: Path, markdown: bool, sheet: Path | None = None) -> None:
+    """``gvr show``: the tables of a result again, and a sheet of its pictures."""
+    folder = find_result(name, root)
+    result, rows = read_result(folder)
     if markdown:
         print(tables.readme_block(result, rows))
     else:
         print_tables(result, rows)
+    if sheet is not None:
+        with atomic_write(sheet) as stream:
+            stream.write(contact_sheet(_one_picture_per_object(folder, result)))
+
+
+def _one_picture_per_object(folder: Path, result: Result) -> list[bytes]:
+    """The first method's picture of the first query for each object of each scene."""
+    first = result.scenes[0].method if result.scenes else ""
+    pictures: dict[tuple[str, str, str], Path] = {}
+    for scene in result.scenes:
+        for query in scene.queries if scene.method == first else ():
+            # Wordings of one object share the part of the id before the number.
+            thing = query.query.rpartition("-")[0] or query.query
+            if query.picture is not None:
+                pictures.setdefault((scene.dataset, scene.scene, thing), folder / query.picture)
+    return [path.read_bytes() for path in pictures.values()]
 
 
 def sync(names: Sequence[str], root: Path, mlflow: str) -> None:

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from gvr_core.rendering.compiled import inlined, kernel
 from gvr_core.rendering.layout import (
     EXTENT_Y,
-    LIMIT,
     MEAN_X,
     MEAN_Y,
     RIGHTMOST_Y,
+    T0,
+    T_MIN,
     TILE,
     A,
     B,
@@ -67,7 +68,7 @@ def bin_piece(
     for i in range(start, stop):
         row = rows[i]
         mean_x, mean_y = row[MEAN_X], row[MEAN_Y]
-        extent_y, limit = row[EXTENT_Y] + _SLACK, row[LIMIT]
+        extent_y, limit = row[EXTENT_Y] + _SLACK, row[T0] - T_MIN
         a, b, c = row[A], row[B], row[C]
         width = _ONE / a
         slant = b * width

@@ -13,9 +13,8 @@ from gvr_core.rendering.layout import (
     BLUE,
     COLUMN,
     DEPTH,
-    EXTENT_Y,
     GREEN,
-    LIMIT,
+    HIGHEST_X,
     MEAN_X,
     MEAN_Y,
     RED,
@@ -109,12 +108,11 @@ def _covered_lines(
     row: FloatArray, left: np.float32, right: np.float32
 ) -> tuple[np.float32, np.float32]:
     """Lowest and highest dy at which the ellipse alpha = 1/255 has dx in [left, right]."""
-    a, b, column = row[A], row[B], row[COLUMN]
-    ab, ac, most = a * b, a * row[C], row[LIMIT] / column
-    highest_x = b / a * row[EXTENT_Y]
-    x = min(max(highest_x, left), right)
+    a, b, c, column = row[A], row[B], row[C], row[COLUMN]
+    ab, ac, most = a * b, a * c, (row[T0] - T_MIN) * (b * b + c * c)
+    x = min(max(row[HIGHEST_X], left), right)
     high = (ab * x + math.sqrt(max(most - (ac * x) * (ac * x), _ZERO))) * column
-    x = min(max(-highest_x, left), right)
+    x = min(max(-row[HIGHEST_X], left), right)
     low = (ab * x - math.sqrt(max(most - (ac * x) * (ac * x), _ZERO))) * column
     return low - _SLACK, high + _SLACK
 

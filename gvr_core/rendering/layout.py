@@ -43,9 +43,9 @@ RIGHTMOST_Y = 11
 """dy of the rightmost point of that ellipse; -dy of the leftmost."""
 COLUMN = 12
 """1 / (B^2 + C^2): the ellipse meets a column of pixels, dx away from the mean, where
-dy = (A B dx +- sqrt(LIMIT / COLUMN - (A C dx)^2)) COLUMN."""
-LIMIT = 13
-"""(A dx - B dy)^2 + (C dy)^2 on that ellipse: log2(255 opacity) / 8."""
+dy = (A B dx +- sqrt((T0 - T_MIN) / COLUMN - (A C dx)^2)) COLUMN."""
+HIGHEST_X = 13
+"""dx of the highest point of that ellipse; -dx of the lowest."""
 REST_X, REST_Y = 14, 15
 """What float32 leaves out of the projected mean, pixels. At x = 640 that is up to 3e-5, and a
 Gaussian of a pixel's size gains or loses as much opacity by it."""

@@ -22,7 +22,7 @@ from gvr_core.rendering.layout import (
     DEPTH,
     EXPONENT_SCALE,
     EXTENT_Y,
-    LIMIT,
+    HIGHEST_X,
     MEAN_X,
     MEAN_Y,
     REST_X,
@@ -180,6 +180,6 @@ def project(
         row[REST_X] = np.float32(wide_mean_x - mean_x)
         row[REST_Y] = np.float32(wide_mean_y - mean_y)
         row[A], row[B], row[C] = narrow, narrow * slant, _KAPPA / math.sqrt(yy)
-        row[T0], row[LIMIT], row[DEPTH] = t0, limit, z
+        row[T0], row[DEPTH] = t0, z
         row[EXTENT_Y], row[RIGHTMOST_Y] = extent_y, reach * xy / math.sqrt(xx)
-        row[COLUMN] = det / (_KAPPA * _KAPPA * xx)
+        row[HIGHEST_X], row[COLUMN] = slant * extent_y, det / (_KAPPA * _KAPPA * xx)

@@ -13,7 +13,7 @@ from render_scenes import camera, cloud
 
 from gvr_core.rendering.binning import bin_piece, cursors
 from gvr_core.rendering.compiled import run_pieces
-from gvr_core.rendering.layout import DEPTH, LIMIT, MEAN_X, MEAN_Y, TILE, A, B, C
+from gvr_core.rendering.layout import DEPTH, MEAN_X, MEAN_Y, T0, T_MIN, TILE, A, B, C
 from gvr_core.rendering.numba_renderer import NumbaRenderer
 from gvr_core.rendering.sorting import radix_argsort
 from gvr_core.rendering.weights import sum_pairs
@@ -64,7 +64,7 @@ def test_binning_finds_the_tiles_with_a_covered_pixel_centre_and_hardly_any_othe
         dx, dy = x - row[MEAN_X], y - row[MEAN_Y]
         exponent = (row[A] * dx - row[B] * dy) ** 2 + (row[C] * dy) ** 2
         for wide, table in ((1.0, expected), (1.01, roomy)):
-            covered = (exponent <= row[LIMIT] * wide).reshape(tiles_y, TILE, tiles_x, TILE)
+            covered = (exponent <= (row[T0] - T_MIN) * wide).reshape(tiles_y, TILE, tiles_x, TILE)
             table[:, n] = covered.any(axis=(1, 3)).ravel()
     assert expected.sum() > 500
     assert not (expected & ~found).any()
