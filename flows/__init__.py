@@ -1,1 +1,1 @@
-"""TBD."""
+"""The scene flow, the benchmark flow, suites, and the command line."""

@@ -6,16 +6,20 @@ from any number of Python threads at once, which numba's default threading layer
 answers by ending the process, and a forked child can render, which GNU OpenMP does not allow.
 
 Numba's cache of compiled code notices changes in the file of a kernel only. No kernel therefore
-calls compiled code of another file; each reads what it needs from arrays.
+calls compiled code of another file, and the files whose constants are compiled in are made part
+of the name that a kernel is cached under.
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import itertools
 import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from llvmlite import ir  # type: ignore[import-untyped]
@@ -32,8 +36,21 @@ _FASTMATH = {"contract", "arcp", "nsz"}
 loop was vectorised."""
 
 
+def digest_of_shared_files(folder: Path) -> str:
+    """Short digest of the files whose constants and helpers end up in kernels of other files."""
+    digest = hashlib.sha256()
+    for name in ("base.py", "compiled.py", "layout.py"):
+        with contextlib.suppress(FileNotFoundError):  # an installation without sources
+            digest.update((folder / name).read_bytes())
+    return digest.hexdigest()[:12]
+
+
+_SHARED = digest_of_shared_files(Path(__file__).parent)
+
+
 def kernel(function: Function) -> Function:
     """Compile a function with numba: cached on disk, GIL released, IEEE division by zero."""
+    function.__qualname__ += f"_{_SHARED}"
     compile_ = njit(cache=True, nogil=True, error_model="numpy", fastmath=_FASTMATH)
     return cast(Function, compile_(function))
 

@@ -5,6 +5,9 @@ in 3D Gaussian Splatting (Kerbl et al., 2023): Sigma' = J W Sigma W^T J^T. As in
 at which the Jacobian J is taken has x/z clamped to [-(cx / fx + 0.3 tan), (width - cx) / fx +
 0.3 tan] with tan = width / (2 fx), and y/z likewise: 1.3 times the half field of view where the
 principal point is in the middle. Outside of it the approximation would blow Gaussians up.
+
+Only the mean is projected in double: in float32 it would be off by 1e-4 pixels and more, which
+Gaussians of a pixel's size show. All else is float32.
 """
 
 from __future__ import annotations

@@ -5,7 +5,6 @@ Needs the shared splats. `python tests/datasets/test_oracle_composite.py` prints
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -41,7 +40,10 @@ def oracle_figures(data: SceneData) -> Iterator[tuple[str, dict[str, float]]]:
         grounding = method.ground(scene, books, query)
         flags = truth.flags(query.target)
         assert flags is not None
-        yield query.text, flags_3d(grounding.flags, flags, scene.gaussians.means, grounding.location)
+        yield (
+            query.text,
+            flags_3d(grounding.flags, flags, scene.gaussians.means, grounding.location),
+        )
 
 
 @pytest.mark.slow

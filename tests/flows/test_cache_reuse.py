@@ -48,9 +48,7 @@ def task_runs() -> dict[UUID, tuple[str, str]]:
 
     async def read() -> dict[UUID, tuple[str, str]]:
         async with get_client() as client:
-            runs = await client.read_task_runs(
-                sort=TaskRunSort.EXPECTED_START_TIME_DESC, limit=100
-            )
+            runs = await client.read_task_runs(sort=TaskRunSort.EXPECTED_START_TIME_DESC, limit=100)
             # A flow inside a flow stands among the task runs too.
             named = {run.id: (run.name.split(" ")[0], run.state_name or "") for run in runs}
             return {key: run for key, run in named.items() if run[0] in STAGES}

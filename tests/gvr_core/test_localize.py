@@ -134,9 +134,7 @@ def test_vote_prefers_the_larger_then_the_tighter_group() -> None:
 
 
 def brute_force_votes(points: np.ndarray, radius: float) -> list[int]:
-    return [
-        sum(float(np.sqrt(((p - q) ** 2).sum())) <= radius for q in points) for p in points
-    ]
+    return [sum(float(np.sqrt(((p - q) ** 2).sum())) <= radius for q in points) for p in points]
 
 
 @given(

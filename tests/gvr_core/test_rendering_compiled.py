@@ -7,8 +7,10 @@ blending a factor of ten.
 from __future__ import annotations
 
 import re
+import shutil
 from collections import Counter
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -16,7 +18,14 @@ import numpy as np
 import pytest
 from render_scenes import camera, cloud
 
-from gvr_core.rendering import binning, blending, projection, sorting, spherical_harmonics
+from gvr_core.rendering import (
+    binning,
+    blending,
+    compiled,
+    projection,
+    sorting,
+    spherical_harmonics,
+)
 from gvr_core.rendering.numba_renderer import NumbaRenderer
 
 ARITHMETIC = re.compile(
@@ -78,3 +87,18 @@ def test_a_row_of_pixels_is_blended_in_vectors() -> None:
     # Eight lanes with AVX, sixteen with AVX-512, four with SSE or NEON.
     assert max(lanes, default=1) >= 4
     assert len(lanes) >= 8
+
+
+def test_code_compiled_with_other_constants_is_not_taken_from_the_cache(tmp_path: Path) -> None:
+    folder = Path(compiled.__file__).parent
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    same = compiled.digest_of_shared_files(tmp_path)
+    assert blending.blend_tiles.py_func.__qualname__ == f"blend_tiles_{same}"  # type: ignore[attr-defined]
+    cache_file = Path(blending.blend_tiles._cache.cache_path)  # type: ignore[attr-defined]
+    llvm_of(blending.blend_tiles)
+    assert any(same in path.name for path in cache_file.glob("blending.blend_tiles*.nbi"))
+    for name in ("base.py", "layout.py", "compiled.py"):
+        before = compiled.digest_of_shared_files(tmp_path)
+        with (tmp_path / name).open("a") as file:
+            file.write("# changed")
+        assert compiled.digest_of_shared_files(tmp_path) != before

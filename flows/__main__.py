@@ -1,0 +1,5 @@
+"""``python -m flows`` is ``gvr``."""
+
+from flows.cli import main
+
+main()
