@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -13,7 +14,7 @@ from datasets.base import SceneData
 from datasets.registry import get_dataset
 from flows.progress import Progress
 from flows.suite import DatasetChoice, SuiteConfig
-from gvr_core.errors import InputError
+from gvr_core.errors import GVRError, InputError
 from gvr_core.methods import MethodConfig, Toolbox, check_method
 from gvr_core.models.registry import ModelConfig, build_models
 from gvr_core.rendering import get_renderer
@@ -23,6 +24,8 @@ from tasks.groundings import Answer, unpack_answers
 from tasks.stage import StageRun
 from tasks.stages import PREPARATION, SceneJob, run_stages
 from tasks.store import Store
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -208,6 +211,8 @@ def _timing(run: StageRun) -> StageTiming:
 
 
 def _failed(dataset: str, scene: str, method: MethodConfig, error: Exception) -> SceneOutcome:
+    if not isinstance(error, GVRError):  # a mistake of ours, or a machine's: show where
+        log.error("%s/%s · %s failed", dataset, scene, method.shown_name, exc_info=error)
     text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
     result = SceneResult(
         dataset=dataset, scene=scene, method=method.shown_name, status="failed", error=text

@@ -25,6 +25,12 @@ BEHIND_SHARE = 0.02
 """At most this share lies behind a support plane. This is what tells the ground and the walls,
 which end the scene, from the flat faces of things, which have something behind them."""
 
+BORDER_SHARE = 0.15
+"""A plane with this part of the picture's border runs out of the picture."""
+
+TALL = 0.2
+"""What stands on a plane that ends inside the picture rises above it by this part of its size."""
+
 FROM_ABOVE = 0.9
 """Cosine between the optical axis and the normal of a support plane that is seen from above."""
 
@@ -84,9 +90,11 @@ def frame_geometry(frame: Frame) -> FrameGeometry:
         found = _support_plane(rays, depth.astype(np.float64), shown, remaining)
         if found is None:
             break
-        distance, normal = found
+        distance, normal, tolerance = found
+        on_plane = remaining & (distance <= tolerance)
+        if not _supports(on_plane, remaining & ~on_plane, distance * depth, depth, frame):
+            break
         normals.append(normal)
-        on_plane = remaining & (distance <= 1.0)
         plane[on_plane] = number
         remaining &= ~on_plane
     from_above = len(normals) == 1 and bool(abs(normals[0][2]) > FROM_ABOVE)
@@ -104,7 +112,7 @@ def _rays(frame: Frame) -> Float64Array:
 
 def _support_plane(
     rays: Float64Array, depth: Float64Array, shown: BoolArray, remaining: BoolArray
-) -> tuple[Float64Array, Float64Array] | None:
+) -> tuple[Float64Array, Float64Array, float] | None:
     """The plane that holds most of the remaining points and has next to nothing behind it.
 
     Args:
@@ -114,8 +122,9 @@ def _support_plane(
         remaining: (H, W) pixels that no earlier plane took.
 
     Returns:
-        (H, W) distance in front of the plane in units of its tolerance (negative behind it), and
-        the plane's unit normal (3,), camera frame; or None where there is no such plane.
+        (H, W) distance in front of the plane over depth (negative behind it), the plane's unit
+        normal (3,) in the camera frame, and up to which distance a pixel lies on the plane; or
+        None where there is no such plane.
     """
     n_shown = int(shown.sum())
     if remaining.sum() < PLANE_SHARE * n_shown:
@@ -132,7 +141,7 @@ def _support_plane(
     # Distance in front of each candidate, relative to depth.
     distances = (points @ normals.T + offsets) / points[:, 2:]
     inside = (np.abs(distances) < _TOLERANCE) & free[:, None]
-    behind = (distances < -2 * _TOLERANCE) & free[:, None]
+    behind = distances < -2 * _TOLERANCE
     share = inside.mean(axis=0)
     allowed = (share >= PLANE_SHARE) & (behind.mean(axis=0) <= BEHIND_SHARE)
     if not allowed.any():
@@ -152,7 +161,34 @@ def _support_plane(
     tolerance = float(np.clip(3 * spread, *_TOLERANCE_RANGE))
     safe_depth = np.where(shown, depth, 1.0)
     distance: Float64Array = (rays @ normal) + offset / safe_depth
-    return distance / tolerance, normal
+    return distance, normal, tolerance
+
+
+def _supports(
+    on_plane: BoolArray,
+    others: BoolArray,
+    height: Float64Array,
+    depth: NDArray[np.float32],
+    frame: Frame,
+) -> bool:
+    """Whether a plane is a ground or a wall, not the flat side of a lone thing.
+
+    It runs out of the picture, or something stands on it that is tall against its size.
+
+    Args:
+        on_plane: (H, W) the plane's pixels.
+        others: (H, W) pixels that may stand on it.
+        height: (H, W) distance in front of the plane, scene units.
+        depth: (H, W) z-depth, scene units.
+        frame: The picture.
+    """
+    border = np.concatenate([on_plane[0], on_plane[-1], on_plane[:, 0], on_plane[:, -1]])
+    if border.mean() >= BORDER_SHARE:
+        return True
+    if others.sum() < BEHIND_SHARE * on_plane.sum():
+        return False
+    size = np.sqrt(on_plane.sum()) * np.median(depth[on_plane]) / frame.camera.K[0, 0]
+    return bool(np.percentile(height[others], 90) >= TALL * size)
 
 
 def _candidates(

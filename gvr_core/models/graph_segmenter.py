@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from threading import Lock
@@ -48,6 +49,10 @@ class GraphSettings(BaseModel):
     things with a busy pattern stay whole."""
     gap_limit: float = Field(default=0.75, ge=0)
     """Surfaces whose gap in depth is less than this part of their size make one thing."""
+    min_score: float = Field(default=0.8, ge=0, le=1)
+    """Masks that geometry closes less than this are left out of the automatic ones: pieces that
+    only colour sets apart. Prompts still find them. 0 keeps all, say for pictures on a wall; and
+    all are kept where the others cover less than half of what is shown."""
     object_share: float = Field(default=0.7, gt=0, le=1)
     """A point prompt takes nothing larger than this share of the picture for a thing."""
     point_slack: float = Field(default=0.015, ge=0, le=0.2)
@@ -93,7 +98,9 @@ class GraphSegmenter:
 
     def automatic(self, frame: Frame) -> list[Mask]:
         """All patches, coarse to fine and large to small; an empty list where nothing is shown."""
-        return [proposal.mask for proposal in self._proposals(frame)]
+        masks = [proposal.mask for proposal in self._proposals(frame)]
+        closed = [mask for mask in masks if mask.score >= self._settings.min_score]
+        return closed if _covered(closed) >= 0.5 * _covered(masks) else masks
 
     def at_point(self, frame: Frame, point: tuple[float, float]) -> Mask:
         """The thing that a point lies in, else the surface that it lies on.
@@ -232,6 +239,13 @@ def _geometry_features(geometry: FrameGeometry) -> NDArray[np.float64]:
     features[..., 0] = np.where(geometry.shown, standing, -2.0)
     features[..., 1:] = codes[geometry.plane]
     return features
+
+
+def _covered(masks: Sequence[Mask]) -> int:
+    """Number of pixels in any of the masks."""
+    if not masks:
+        return 0
+    return int(np.count_nonzero(np.logical_or.reduce([mask.pixels for mask in masks])))
 
 
 def _alike(a: Region, b: Region, limit: float) -> bool:

@@ -5,34 +5,46 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from gvr_core.models.base import Encoder, Frame, Mask, Segmenter
+
+
+class RankedSettings(BaseModel):
+    """How proposals are ranked."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    tie_margin: float = Field(default=0.02, ge=0)
+    """Similarities this close to the best one count as equal; then the whole goes before its
+    parts, and the large before the small."""
 
 
 class RankedProposals:
     """Every automatic mask of a frame is a proposal; the one most like the text is the answer.
 
-    It stands in for Grounding DINO with SAM where their weights cannot be had, and it always
-    answers when there is anything to see: telling that an object is absent is left to whoever
-    reads the score.
+    It stands in for Grounding DINO with SAM where their weights cannot be had. It always answers
+    when there is anything to see: telling that something is absent is left to whoever reads the
+    score.
 
     Args:
         segmenter: Makes the proposals.
         encoder: Compares them with the text.
-        min_score: Proposals whose own score is below are left out, unless all are: a segmenter
-            is less sure of fragments, and among many fragments one looks like anything.
+        settings: How they are ranked.
     """
 
-    def __init__(self, segmenter: Segmenter, encoder: Encoder, min_score: float = 0.5) -> None:
-        self._min_score = min_score
+    def __init__(
+        self, segmenter: Segmenter, encoder: Encoder, settings: RankedSettings | None = None
+    ) -> None:
         self._segmenter = segmenter
         self._encoder = encoder
+        self._settings = settings or RankedSettings()
 
     @property
     def name(self) -> str:
-        """Name, version, and the two models it is made of."""
+        """Name, version, settings, and the two models it is made of."""
         parts = f"{self._segmenter.name},{self._encoder.name}"
-        return f"onboard-ranked/1(min_score={self._min_score},{parts})"
+        return f"onboard-ranked/1(tie_margin={self._settings.tie_margin},{parts})"
 
     def segment(self, frame: Frame, text: str) -> Mask | None:
         """The proposal most like the text.
@@ -42,14 +54,15 @@ class RankedProposals:
             text: What to look for.
 
         Returns:
-            The mask, its score the cosine similarity in [-1, 1]; of equal ones the first. None
-            where the frame shows nothing.
+            The mask, its score the cosine similarity in [-1, 1]; None where the frame shows
+            nothing. Of proposals that are equally like the text, the coarsest, then the largest,
+            then the first.
         """
         proposals = self._segmenter.automatic(frame)
         if not proposals:
             return None
-        proposals = [m for m in proposals if m.score >= self._min_score] or proposals
         patches = self._encoder.encode_patches(frame, proposals)
         similarity = patches @ self._encoder.encode_texts([text])[0]
-        best = int(np.argmax(similarity))
+        equal = np.flatnonzero(similarity >= similarity.max() - self._settings.tie_margin)
+        best = max(equal, key=lambda i: (proposals[i].level, proposals[i].area, -i))
         return replace(proposals[best], score=float(similarity[best]))

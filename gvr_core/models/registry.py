@@ -11,8 +11,10 @@ from pydantic import BaseModel, ConfigDict
 
 from gvr_core.errors import unknown_name
 from gvr_core.models.base import Encoder, Models, Segmenter, TextSegmenter
-from gvr_core.models.conse import ConseSettings
-from gvr_core.models.graph_segmenter import GraphSettings
+from gvr_core.models.conse import ConseEncoder, ConseSettings
+from gvr_core.models.graph_segmenter import GraphSegmenter, GraphSettings
+from gvr_core.models.random_encoder import RandomEncoder
+from gvr_core.models.ranked_proposals import RankedProposals, RankedSettings
 
 
 class ModelConfig(BaseModel):
@@ -30,6 +32,8 @@ class ModelConfig(BaseModel):
     """Settings of ``"onboard-graph"``."""
     conse: ConseSettings = ConseSettings()
     """Settings of ``"onboard-conse"``."""
+    ranked: RankedSettings = RankedSettings()
+    """Settings of ``"onboard-ranked"``."""
 
 
 def _graph(config: ModelConfig) -> Segmenter:
@@ -42,30 +46,22 @@ def _conse(config: ModelConfig) -> Encoder:
 
 @lru_cache(maxsize=4)
 def _graph_segmenter(settings: GraphSettings) -> Segmenter:
-    from gvr_core.models.graph_segmenter import GraphSegmenter
-
     return GraphSegmenter(settings)
 
 
 @lru_cache(maxsize=4)
 def _conse_encoder(settings: ConseSettings) -> Encoder:
-    from gvr_core.models.conse import ConseEncoder
-
     return ConseEncoder(settings)
 
 
 def _random(name: str) -> Encoder | None:
     """The control, where a name is of the form ``random:SEED``."""
-    from gvr_core.models.random_encoder import RandomEncoder
-
     match = re.fullmatch(r"random:(\d{1,18})", name)
     return RandomEncoder(int(match.group(1))) if match else None
 
 
-def _ranked(segmenter: Segmenter, encoder: Encoder) -> TextSegmenter:
-    from gvr_core.models.ranked_proposals import RankedProposals
-
-    return RankedProposals(segmenter, encoder)
+def _ranked(config: ModelConfig, segmenter: Segmenter, encoder: Encoder) -> TextSegmenter:
+    return RankedProposals(segmenter, encoder, config.ranked)
 
 
 SEGMENTERS: dict[str, Callable[[ModelConfig], Segmenter]] = {"onboard-graph": _graph}
@@ -74,7 +70,7 @@ SEGMENTERS: dict[str, Callable[[ModelConfig], Segmenter]] = {"onboard-graph": _g
 ENCODERS: dict[str, Callable[[ModelConfig], Encoder]] = {"onboard-conse": _conse}
 """Encoders by name; ``random:SEED`` comes on top."""
 
-TEXT_SEGMENTERS: dict[str, Callable[[Segmenter, Encoder], TextSegmenter]] = {
+TEXT_SEGMENTERS: dict[str, Callable[[ModelConfig, Segmenter, Encoder], TextSegmenter]] = {
     "onboard-ranked": _ranked
 }
 """Text segmenters by name, made from the other two models."""
@@ -113,5 +109,5 @@ def build_models(config: ModelConfig | None = None) -> Models:
     with _LOADING:
         segmenter = SEGMENTERS[config.segmenter](config)
         encoder = random or ENCODERS[config.encoder](config)
-        text_segmenter = TEXT_SEGMENTERS[config.text_segmenter](segmenter, encoder)
+        text_segmenter = TEXT_SEGMENTERS[config.text_segmenter](config, segmenter, encoder)
     return Models(segmenter, encoder, text_segmenter)
