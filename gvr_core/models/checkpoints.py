@@ -83,8 +83,9 @@ def load_torch_state(path: Path, sha256: str) -> Mapping[str, torch.Tensor]:
     try:
         state: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ModelError(
-            f"not a file of plain tensors: {str(error).splitlines()[0]}",
+            f"not a file of plain tensors: {reason}",
             path=path,
             accepted="a state dict that torch.load(weights_only=True) reads",
         ) from error

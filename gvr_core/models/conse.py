@@ -26,9 +26,6 @@ class ConseSettings(BaseModel):
 
     top_t: int = Field(default=10, ge=1, le=1000)
     """T: how many of the most probable classes are combined; 10 in the paper of ConSE."""
-    sharpness: float = Field(default=0.7, gt=0)
-    """Power that the posterior is raised to before the best T are taken; 1 in the paper of
-    ConSE. Below 1 it takes back some of the network's overconfidence on cut-out patches."""
     crops: tuple[CropMode, ...] = Field(default=("masked",), min_length=1)
     """What is shown of a patch; the posteriors of several are averaged."""
 
@@ -37,10 +34,9 @@ class ConseEncoder:
     """ConSE (Norouzi et al., "Zero-Shot Learning by Convex Combination of Semantic Embeddings").
 
     f(x) = 1/Z sum_{t=1..T} p(y_t | x) s(y_t), with Z = sum_t p(y_t | x): the names of the T most
-    probable ImageNet classes, as sentence vectors s, weighted with their probabilities (raised
-    to a power here, see the settings). A text is its own sentence vector. It knows what
-    ImageNet-1k names and what is close to that in language, no more; it is not CLIP and its
-    figures must not be read as CLIP's.
+    probable ImageNet classes, as sentence vectors s, weighted with their probabilities. A text
+    is its own sentence vector. It knows what ImageNet-1k names and what is close to that in
+    language, no more; it is not CLIP and its figures must not be read as CLIP's.
 
     Args:
         settings: T and the crops.
@@ -109,7 +105,7 @@ class ConseEncoder:
         """
         # A stable sort of the negated rows lets the lower class index win a tie.
         top = np.argsort(-posterior, axis=1, kind="stable")[:, : self._settings.top_t]
-        weights = np.take_along_axis(posterior, top, axis=1) ** self._settings.sharpness
+        weights = np.take_along_axis(posterior, top, axis=1)
         weights = weights / weights.sum(axis=1, keepdims=True)
         vectors: FloatArray = np.einsum("mt,mtc->mc", weights, self._class_vectors[top])
         unit: FloatArray = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

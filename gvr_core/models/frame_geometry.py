@@ -28,7 +28,7 @@ which end the scene, from the flat faces of things, which have something behind 
 BORDER_SHARE = 0.15
 """A plane with this part of the picture's border runs out of the picture."""
 
-TALL = 0.2
+TALL = 0.3
 """What stands on a plane that ends inside the picture rises above it by this part of its size."""
 
 FROM_ABOVE = 0.9

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import skimage.data
+from scipy import ndimage
 from test_models_frames import (
     BOXES,
     FRONT,
@@ -23,9 +25,11 @@ from test_models_frames import (
     trace,
 )
 
-from gvr_core.cameras import Camera
+from gvr_core.cameras import Camera, intrinsics, look_at
 from gvr_core.models.base import Frame, Mask
 from gvr_core.models.graph_segmenter import GraphSegmenter, GraphSettings
+from gvr_core.rendering.base import get_renderer
+from gvr_core.splat_io import read_splat
 
 CAMERAS = {"front": FRONT, "left": LEFT, "right": RIGHT}
 
@@ -162,7 +166,7 @@ def test_half_transparent_pixels_are_not_shown(segmenter: GraphSegmenter) -> Non
         assert not mask.pixels[shows == WALL].any()
 
 
-def test_masks_are_bounded_different_connected_and_in_order(segmenter: GraphSegmenter) -> None:
+def test_masks_are_bounded_different_connected_and_in_order() -> None:
     settings = GraphSettings(min_score=0.0, max_masks=20, colour_scales=(50.0, 200.0))
     frame, _ = trace(FRONT)
     masks = GraphSegmenter(settings).automatic(frame)
@@ -171,9 +175,9 @@ def test_masks_are_bounded_different_connected_and_in_order(segmenter: GraphSegm
     for i, mask in enumerate(masks):
         assert mask.pixels.dtype == np.bool_ and mask.area >= least - 1
         assert all(iou(mask.pixels, other.pixels) <= 0.9 for other in masks[:i])
+        assert ndimage.label(mask.pixels)[1] == 1
     keys = [(-mask.level, -mask.area) for mask in masks]
     assert keys == sorted(keys)
-    assert len(segmenter.automatic(frame)) <= segmenter.automatic(frame)[0].pixels.size
 
 
 def test_pieces_that_only_colour_sets_apart_are_left_to_prompts() -> None:
@@ -237,19 +241,25 @@ def test_the_name_tells_settings_apart() -> None:
     assert all(name.startswith("onboard-graph/") for name in names)
 
 
-def test_real_splats_come_out_whole(segmenter: GraphSegmenter, shared) -> None:  # type: ignore[no-untyped-def]
-    from gvr_core.cameras import intrinsics, look_at
-    from gvr_core.rendering.base import get_renderer
-    from gvr_core.splat_io import read_splat
-
-    guitar = read_splat(shared / "data" / "splats" / "guitar.ply")
-    low, high = np.percentile(guitar.means, [1, 99], axis=0)
+@pytest.mark.parametrize(
+    ("name", "direction"),
+    [
+        ("guitar.ply", (1.0, 0.1, 0.2)),
+        ("guitar.ply", (0.8, -0.3, 0.6)),
+        ("biker.ply", (-1.0, -0.2, 0.3)),
+        ("plant.splat", (1.0, -0.2, 0.3)),
+    ],
+)
+def test_real_splats_come_out_whole(
+    segmenter: GraphSegmenter, shared: Path, name: str, direction: tuple[float, float, float]
+) -> None:
+    gaussians = read_splat(shared / "data" / "splats" / name)
+    low, high = np.percentile(gaussians.means, [1, 99], axis=0)
     centre, size = (low + high) / 2, float(np.linalg.norm(high - low))
-    for direction in ((1.0, 0.1, 0.2), (-1.0, 0.1, 0.3)):
-        eye = centre + 1.6 * size * np.array(direction)
-        camera = Camera(intrinsics(45, 320, 240), look_at(eye, centre, (0, -1, 0)), 320, 240)
-        frame = Frame.of_rendering(get_renderer("numba").render(guitar, camera), camera)
-        assert frame.alpha is not None
-        truth = frame.alpha >= 0.5
-        assert 0.01 < truth.mean() < 0.6
-        assert iou(segmenter.at_point(frame, middle(truth)).pixels, truth) > 0.9
+    eye = centre + 1.6 * size * np.array(direction)
+    camera = Camera(intrinsics(45, 320, 240), look_at(eye, centre, (0, -1, 0)), 320, 240)
+    frame = Frame.of_rendering(get_renderer("numba").render(gaussians, camera), camera)
+    assert frame.alpha is not None
+    truth = (frame.alpha >= 0.5) & (frame.depth > 0)
+    assert 0.01 < truth.mean() < 0.6
+    assert iou(segmenter.at_point(frame, middle(truth)).pixels, truth) > 0.9
