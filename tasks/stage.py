@@ -13,8 +13,8 @@ lie in the store, and stages take and return handles.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
 
@@ -166,29 +166,6 @@ def run_stage(
         return StageRun(record, state, label)
     record, computed = store.compute_once(stage.name, stage.version, key, function, refresh=refresh)
     return StageRun(record, "Completed" if computed else "Cached", label)
-
-
-@dataclass
-class StageTally:
-    """How often one stage was computed and how often it was not."""
-
-    cached: int = 0
-    computed: int = 0
-    seconds: float = field(default=0.0)
-    """Wall-clock time of those computed."""
-
-
-def tally(runs: Iterable[StageRun]) -> dict[str, StageTally]:
-    """Count runs by stage, in the order in which the stages first occur."""
-    counts: dict[str, StageTally] = {}
-    for run in runs:
-        entry = counts.setdefault(run.record.stage, StageTally())
-        if run.cached:
-            entry.cached += 1
-        else:
-            entry.computed += 1
-            entry.seconds += run.record.seconds
-    return counts
 
 
 def _digests(inputs: Mapping[str, StageInput]) -> dict[str, str]:
