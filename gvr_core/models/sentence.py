@@ -17,6 +17,7 @@ from gvr_core.models.checkpoints import (
     load_safetensors,
     verified_bytes,
 )
+from gvr_core.models.cpu_workers import cpu_workers
 
 if TYPE_CHECKING:
     import torch
@@ -85,21 +86,24 @@ class SentenceEmbedder:
         Returns:
             (t, 384) float32, each of length 1.
         """
-        import torch
-
-        vectors = np.empty((len(texts), self.dim), np.float32)
         # Texts of like length share a batch, so that little of it is padding.
         order = sorted(range(len(texts)), key=lambda i: (len(texts[i]), i))
-        for start in range(0, len(order), _BATCH):
-            rows = order[start : start + _BATCH]
-            encodings = self._tokenizer.encode_batch([texts[i] for i in rows])
-            ids = torch.tensor([encoding.ids for encoding in encodings])
-            real = torch.tensor([encoding.attention_mask for encoding in encodings])
-            with torch.inference_mode():
-                tokens: torch.Tensor = self._bert(
-                    input_ids=ids, attention_mask=real
-                ).last_hidden_state
-                weights = real[..., None].to(tokens.dtype)
-                means = (tokens * weights).sum(dim=1) / weights.sum(dim=1)
-                vectors[rows] = torch.nn.functional.normalize(means, dim=1).numpy()
+        batches = [order[i : i + _BATCH] for i in range(0, len(order), _BATCH)]
+        embedded = cpu_workers().map(self._embed, [[texts[i] for i in rows] for rows in batches])
+        vectors = np.empty((len(texts), self.dim), np.float32)
+        for rows, part in zip(batches, embedded, strict=True):
+            vectors[rows] = part
         return vectors
+
+    def _embed(self, texts: Sequence[str]) -> FloatArray:
+        import torch
+
+        encodings = self._tokenizer.encode_batch(list(texts))
+        ids = torch.tensor([encoding.ids for encoding in encodings])
+        real = torch.tensor([encoding.attention_mask for encoding in encodings])
+        with torch.inference_mode():
+            tokens: torch.Tensor = self._bert(input_ids=ids, attention_mask=real).last_hidden_state
+            weights = real[..., None].to(tokens.dtype)
+            means = (tokens * weights).sum(dim=1) / weights.sum(dim=1)
+            unit: FloatArray = torch.nn.functional.normalize(means, dim=1).numpy()
+        return unit

