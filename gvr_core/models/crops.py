@@ -18,10 +18,6 @@ CropMode = Literal["masked", "bbox", "context"]
 CONTEXT_FACTOR = 1.5
 """Side of the ``"context"`` box over the side of the tight box."""
 
-MARGIN = 0.25
-"""Grey added around a ``"masked"`` patch, in parts of its longer side: classifiers were trained
-on pictures in which things do not touch the edge."""
-
 GREY = 127
 """Fills what is not shown. It is the zero of networks that take (value - 127) / 128."""
 
@@ -51,8 +47,6 @@ def crop_patch(rgb8: NDArray[np.uint8], mask: Mask, mode: CropMode, size: int) -
     if mode == "masked":
         content = np.where(mask.pixels[y0:y1, x0:x1, None], content, np.uint8(GREY))
     side = max(x1 - x0, y1 - y0)
-    if mode == "masked":
-        side = round(side * (1 + MARGIN))
     square = np.full((side, side, 3), GREY, np.uint8)
     top, left = (side - content.shape[0]) // 2, (side - content.shape[1]) // 2
     square[top : top + content.shape[0], left : left + content.shape[1]] = content

@@ -34,9 +34,9 @@ def test_masked_shows_the_patch_alone() -> None:
     crop = crop_patch(*scene(), "masked", 300)
     assert crop.shape == (300, 300, 3) and crop.dtype == np.uint8
     assert share(crop, BLUE) == 0
-    # 575 of the pixels of a square of side 30 * 1.25.
-    assert share(crop, RED) == pytest.approx(575 / 37.5**2, abs=0.03)
-    assert (crop[:20] == GREY).all() and (crop[:, :20] == GREY).all()
+    # 575 of the pixels of a square of side 30; the shorter side is padded with grey.
+    assert share(crop, RED) == pytest.approx(575 / 30**2, abs=0.03)
+    assert (crop[:20] == GREY).all() and (crop[-20:] == GREY).all()
 
 
 def test_bbox_shows_what_the_box_holds_and_pads_the_rest() -> None:
