@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -176,6 +177,8 @@ def cache_gc(
 
 def main(arguments: list[str] | None = None) -> Any:
     """Entry point: errors of ours become one line and an exit code."""
+    # Ending by SIGTERM unwinds like Ctrl-C, so that servers that were started are stopped.
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
         return app(args=arguments)
     except InputError as error:

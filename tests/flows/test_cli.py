@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from mlflow import MlflowClient
 from small_scene import two_boxes
@@ -16,6 +22,7 @@ from flows.cli import main
 from gvr_core.splat_io import read_ply, write_ply
 from tasks.prefect_runtime import PrefectRuntime
 
+REPOSITORY = Path(__file__).resolve().parents[2]
 PLY = "point_cloud/iteration_30000/point_cloud.ply"
 
 
@@ -238,3 +245,27 @@ def test_ground_refuses_what_it_cannot_use(
     assert expected in err
     assert not out.exists()
     assert not stored_files(home)
+
+
+def test_a_terminated_run_takes_its_server_with_it(home, tmp_path, two_boxes_folder) -> None:
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PREFECT_")}
+    environment |= {"GVR_HOME": str(home), "HOME": str(tmp_path)}
+    suite = str(suite_file(tmp_path, two_boxes_folder))
+    process = psutil.Popen(
+        [sys.executable, "-m", "flows", "run", suite, "--quiet", "--no-mlflow"],
+        cwd=REPOSITORY,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    deadline = time.monotonic() + 120
+    servers: list[psutil.Process] = []
+    while not servers and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.2)
+        servers = [p for p in process.children(recursive=True) if "uvicorn" in p.cmdline()]
+    assert servers
+    time.sleep(2)  # well into the start of the server
+    process.terminate()
+    assert process.wait(timeout=60) == 128 + signal.SIGTERM
+    _, alive = psutil.wait_procs(servers, timeout=30)
+    assert not alive
