@@ -21,6 +21,9 @@ from reports.record import Result, Row
 from reports.result_io import list_results, read_result
 from tasks.store import Store
 
+SHEET_PICTURES = 12
+"""At most so many pictures on a sheet."""
+
 console = Console()
 warnings = Console(stderr=True)
 
@@ -136,7 +139,7 @@ def show(name: str, root: Path, markdown: bool, sheet: Path | None = None) -> No
 
 
 def _one_picture_per_object(folder: Path, result: Result) -> list[bytes]:
-    """The first method's picture of the first query for each object of each scene."""
+    """The first method's picture of the first query for each object, thinned out evenly."""
     first = result.scenes[0].method if result.scenes else ""
     pictures: dict[tuple[str, str, str], Path] = {}
     for scene in result.scenes:
@@ -145,7 +148,9 @@ def _one_picture_per_object(folder: Path, result: Result) -> list[bytes]:
             thing = query.query.rpartition("-")[0] or query.query
             if query.picture is not None:
                 pictures.setdefault((scene.dataset, scene.scene, thing), folder / query.picture)
-    return [path.read_bytes() for path in pictures.values()]
+    paths = list(pictures.values())
+    step = -(-len(paths) // SHEET_PICTURES) or 1
+    return [path.read_bytes() for path in paths[::step]]
 
 
 def sync(names: Sequence[str], root: Path, mlflow: str) -> None:
