@@ -26,6 +26,9 @@ from tasks.groundings import Answer
 Scored = dict[str, Any]
 """A row without the names of data set, scene and method: query, view, protocol, metrics."""
 
+VIEWS_LOOKED_THROUGH = 8
+"""Without test views, about so many knowledge views are tried for a query's picture."""
+
 RED = (1.0, 0.0, 0.0)
 """The colour that the paper dyes targets in."""
 
@@ -87,7 +90,8 @@ def draw_query(
 ) -> bytes:
     """The picture of a query: the target dyed red, splatted into a test view, with the truth.
 
-    The view is the one that shows most of the object; the first one where there is no object.
+    The view is the one that shows most of the object. Where nobody knows the object, it is the
+    one of a few that shows most of the answer.
 
     Args:
         data: The scene and its truth.
@@ -99,12 +103,7 @@ def draw_query(
     Returns:
         A PNG.
     """
-    views = data.truth.test_views or data.scene.views[:1]
-    masks = [
-        data.truth.mask(view, query.target) if query.target is not None else None for view in views
-    ]
-    best = int(np.argmax([0 if mask is None else mask.sum() for mask in masks]))
-    view, mask = views[best], masks[best]
+    view, mask = _best_view(data, query, answer, renderer)
     dyed = data.scene.gaussians.dyed(answer.flags, RED)
     image = renderer.render(dyed, view.camera).rgb
     parts = []
@@ -118,3 +117,19 @@ def draw_query(
     if not answer.found:
         parts.append("nothing found")
     return query_picture(image, mask, f"“{query.text}”\n{' · '.join(parts)}".strip())
+
+
+def _best_view(
+    data: SceneData, query: Query, answer: Answer, renderer: Renderer
+) -> tuple[View, NDArray[np.bool_] | None]:
+    tests = data.truth.test_views
+    if tests and query.target is None:
+        return tests[0], None
+    if tests and query.target is not None:
+        masks = [data.truth.mask(view, query.target) for view in tests]
+        best = int(np.argmax([mask.sum() for mask in masks]))
+        return tests[best], masks[best]
+    views = data.scene.views
+    few = views[:: max(1, len(views) // VIEWS_LOOKED_THROUGH)]
+    soft = [soft_prediction(data.scene.gaussians, answer, view, renderer).sum() for view in few]
+    return few[int(np.argmax(soft))], None
