@@ -15,9 +15,10 @@ import numpy as np
 from datasets.base import SceneData
 from datasets.layout import GroundTable, Layout, ObjectTable, read_layout
 from datasets.making import RENDERER, made_once, recipe_digest, slug, take_pictures
-from datasets.native import file_digest, read_scene, write_scene
+from datasets.native import read_scene, write_scene
 from datasets.photographs import read_texture, wood
 from datasets.surfaces import rectangle
+from gvr_core.atomic import file_digest
 from gvr_core.errors import DatasetError, unknown_name
 from gvr_core.gaussians import Gaussians
 from gvr_core.rendering.base import get_renderer

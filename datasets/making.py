@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +15,7 @@ from numpy.typing import NDArray
 from datasets.native import Picture, read_recipe
 from gvr_core.cameras import Camera, intrinsics, look_at
 from gvr_core.gaussians import Gaussians
+from gvr_core.locks import file_lock
 from gvr_core.rendering.base import Renderer
 
 RENDERER = "numba"
@@ -138,14 +137,6 @@ def made_once(folder: Path, recipe: str, make: Callable[[], None]) -> None:
     if read_recipe(folder) == recipe:
         return
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with _locked(folder.parent / f".{folder.name}.lock"):
+    with file_lock(folder.parent / f".{folder.name}.lock"):
         if read_recipe(folder) != recipe:
             make()
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """An exclusive lock between processes."""
-    with path.open("a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield

@@ -37,11 +37,12 @@ from datasets.native_records import (
     read_scene_file,
 )
 from datasets.native_writer import Picture, write_scene
+from gvr_core.atomic import file_digest
 from gvr_core.errors import DatasetError
 from gvr_core.scene import Scene, View
 from gvr_core.splat_io import read_ply
 
-__all__ = ["Picture", "file_digest", "read_recipe", "read_scene", "write_scene"]
+__all__ = ["Picture", "read_recipe", "read_scene", "write_scene"]
 
 FORMATS = ("PNG", "JPEG")
 """What the pictures of a scene may be, by Pillow's names; the writer makes PNG."""
@@ -119,12 +120,6 @@ def read_recipe(folder: Path) -> str | None:
         return read_scene_file(folder / "scene.json").recipe
     except DatasetError:
         return None
-
-
-def file_digest(path: Path) -> str:
-    """sha256 of a file's content."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _read_views(folder: Path) -> dict[str, View]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import uuid
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,7 +23,7 @@ from datasets.native_records import (
     check_queries,
     check_scene_file,
 )
-from gvr_core.atomic import atomic_write
+from gvr_core.atomic import atomic_write, sync_folder
 from gvr_core.cameras import Camera
 from gvr_core.errors import DatasetError
 from gvr_core.gaussians import SH_C0, Gaussians
@@ -145,13 +143,7 @@ def _swap_in(temporary: Path, folder: Path) -> None:
         folder.rename(old)
     temporary.rename(folder)
     shutil.rmtree(old, ignore_errors=True)
-    # some file systems cannot flush a folder: the rename itself still holds
-    with suppress(OSError):
-        handle = os.open(folder.parent, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+    sync_folder(folder.parent)
 
 
 def _check_pictures(pictures: Sequence[Picture], objects: Sequence[str], folder: Path) -> None:

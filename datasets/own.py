@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 
 from datasets.base import GroundTruth, SceneData
 from datasets.cameras_file import read_cameras
+from gvr_core.atomic import file_digest
 from gvr_core.cameras import Camera
 from gvr_core.errors import CameraFormatError, ConfigError
 from gvr_core.scene import Query, Scene, View
@@ -61,7 +62,7 @@ def own_scene(
         tuple(Query(id=f"q{i}", text=text) for i, text in enumerate(texts)),
         GroundTruth(objects=(), test_views=()),
         {
-            "gaussians": _file_digest(splat),
+            "gaussians": file_digest(splat),
             "views": _cameras_digest(views),
             "queries": _digest(list(texts)),
             "truth": _digest([]),
@@ -79,11 +80,6 @@ def _at_most(camera: Camera, side: int) -> Camera:
     if scale >= 1:
         return camera
     return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-
-
-def _file_digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _cameras_digest(views: Sequence[View]) -> str:

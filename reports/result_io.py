@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import secrets
@@ -17,6 +16,7 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticSerializationError
 
+from gvr_core.atomic import file_digest
 from reports.record import SCHEMA_VERSION, Result, Row
 from reports.result_check import ResultError, check_consistent
 
@@ -76,7 +76,7 @@ def write_result(
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(source if isinstance(source, bytes) else Path(source).read_bytes())
         names = sorted(p.relative_to(building).as_posix() for p in _files(building))
-        sums = "".join(f"{_sha256(building / name)}  {name}\n" for name in names)
+        sums = "".join(f"{file_digest(building / name)}  {name}\n" for name in names)
         _write_text(building / SUMS_FILE, sums)
         for path in [*_files(building), *_folders(building)]:
             _fsync(path)
@@ -197,7 +197,7 @@ def _check_sums(folder: Path, names: Sequence[str]) -> None:
             )
         sums[name] = digest
     for name in names:
-        found = _sha256(folder / name)
+        found = file_digest(folder / name)
         if sums.get(name) != found:
             raise ResultError(
                 f"the file's sha256 is {found}; it was changed after it was written",
@@ -219,11 +219,6 @@ def _read_text(path: Path) -> str:
 
 def _write_text(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8", newline="\n")
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _files(folder: Path) -> list[Path]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 import uuid
@@ -12,12 +11,6 @@ from pathlib import Path
 _RACY_SECONDS = 2.0
 """A file changed this recently may change again without its time stamps moving: kernels stamp
 files with a clock of a few milliseconds, some file systems of two seconds."""
-
-
-def digest_file(path: Path) -> str:
-    """sha256 of a file's content, in lower-case hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def sync_file(path: Path) -> None:

@@ -26,10 +26,11 @@ from typing import Any
 from numpy.typing import NDArray
 from pydantic import JsonValue, ValidationError
 
+from gvr_core.atomic import file_digest
 from gvr_core.errors import StoreError
+from gvr_core.locks import file_lock
 from tasks.arrays import StoredArrays, write_arrays
-from tasks.files import Stamp, digest_file, move_into_place, sync_file, temporary_name
-from tasks.locks import file_lock
+from tasks.files import Stamp, move_into_place, sync_file, temporary_name
 from tasks.records import DIGEST, Artifact, canonical_json
 
 DEFAULT_ROOT = Path(".gvr/store")
@@ -149,7 +150,7 @@ class ObjectStore:
         if not _SUFFIX.fullmatch(suffix):
             raise StoreError(f"suffix {suffix!r} (accepted: like .png or .tar.gz, in lower case)")
         canonical_json(dict(meta or {}), name=f"meta of {kind}")
-        digest = digest_file(temporary)
+        digest = file_digest(temporary)
         try:
             artifact = Artifact(
                 kind=kind,
@@ -210,7 +211,7 @@ class ObjectStore:
             if not thorough and self._found_right.get(artifact.path) == before:
                 return None
             settled = before.settled
-            if digest_file(path) != artifact.digest:
+            if file_digest(path) != artifact.digest:
                 return "has another content than its digest says"
             if settled and Stamp.of(path) == before:
                 self._found_right[artifact.path] = before

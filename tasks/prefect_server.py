@@ -11,7 +11,7 @@ from pathlib import Path
 from uuid import UUID
 
 from gvr_core.errors import StoreError
-from tasks.locks import file_lock
+from gvr_core.locks import file_lock
 
 START_TIMEOUT_SECONDS = 120
 """The server takes 7-18 s to start on two cores, 40 s on busy ones; Prefect's limit is 20 s."""

@@ -13,8 +13,8 @@ from pathlib import Path
 from pydantic import JsonValue, ValidationError
 
 from gvr_core.errors import StoreError
+from gvr_core.locks import file_lock
 from tasks.files import temporary_name, write_atomically
-from tasks.locks import file_lock
 from tasks.measure import Measurement
 from tasks.objects import ObjectStore
 from tasks.records import Artifact, StageRecord, canonical_json, check_key, check_stage_name

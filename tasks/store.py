@@ -20,7 +20,6 @@ It knows nothing of Prefect: `Store.compute_once` is all that a library user nee
 from __future__ import annotations
 
 from gvr_core.errors import StoreError
-from tasks.files import digest_file
 from tasks.record_store import LookupCounts, RecordStore, StageFunction, StageOutput
 from tasks.records import Artifact, StageRecord, canonical_json, stage_key
 from tasks.upkeep import (
@@ -45,7 +44,6 @@ __all__ = [
     "StoreError",
     "VerifyReport",
     "canonical_json",
-    "digest_file",
     "stage_key",
 ]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from gvr_core.errors import StoreError
-from tasks.locks import file_lock, remove_if_free
+from gvr_core.locks import file_lock, remove_if_free
 from tasks.record_store import RecordStore
 from tasks.records import DIGEST
 

@@ -11,8 +11,8 @@ from functools import cache
 def cpu_workers() -> ThreadPoolExecutor:
     """As many threads as there are processors, each of which computes alone.
 
-    Threads that share one batch wait for each other in a spin. With other work on the machine
-    EfficientNet-Lite2 then took 0.24 s of processor time a picture, and takes 0.05 s so.
+    Threads that share one batch wait for each other in a spin, which on a busy machine takes
+    several times the processor time of the work itself.
     """
     return ThreadPoolExecutor(os.cpu_count() or 1, "network", initializer=_one_thread)
 

@@ -14,13 +14,16 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from numpy.typing import NDArray
 from oracle_models import OracleWorld, oracle_models
 
 from datasets.base import SceneData
 from datasets.registry import get_dataset
+from gvr_core.gaussians import Gaussians
 from gvr_core.methods import MethodConfig, Toolbox, build_method
 from gvr_core.metrics import flags_3d
 from gvr_core.rendering import get_renderer
+from gvr_core.segment import VirtualView, frustum_filter
 
 UNOCCLUDED = ("apart", "open")
 """Composite scenes in which every object can be seen whole from most views."""
@@ -40,10 +43,23 @@ def oracle_figures(data: SceneData) -> Iterator[tuple[str, dict[str, float]]]:
         grounding = method.ground(scene, books, query)
         flags = truth.flags(query.target)
         assert flags is not None
-        yield (
-            query.text,
-            flags_3d(grounding.flags, flags, scene.gaussians.means, grounding.location),
-        )
+        ring = [ring_shares(scene.gaussians, view, flags) for view in grounding.ring]
+        metrics = flags_3d(grounding.flags, flags, scene.gaussians.means, grounding.location)
+        metrics["least_in_ring_picture"] = min((inside for inside, _ in ring), default=0.0)
+        metrics["least_kept_of_that"] = min((kept for _, kept in ring), default=0.0)
+        yield query.text, metrics
+
+
+def ring_shares(
+    gaussians: Gaussians, view: VirtualView, flags: NDArray[np.bool_]
+) -> tuple[float, float]:
+    """Share of an object inside a ring picture, and share of that which its mask keeps."""
+    camera = view.frame.camera
+    everything = np.ones((camera.height, camera.width), np.bool_)
+    inside = frustum_filter(gaussians, camera, everything) & flags
+    mask = everything & False if view.mask is None else view.mask.pixels
+    kept = frustum_filter(gaussians, camera, mask) & flags
+    return float(inside.sum() / flags.sum()), float(kept.sum() / max(1, inside.sum()))
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gvr_core.errors import StoreError
-from tasks.locks import file_lock, remove_if_free
+from gvr_core.locks import file_lock, remove_if_free
 
 
 def acquire(path: Path, timeout: float) -> None:
