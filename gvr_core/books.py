@@ -8,7 +8,7 @@ ragged: one long array, and where each view's part begins.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, Self
 
 import numpy as np
@@ -181,6 +181,8 @@ class Books:
     views: ViewBook
     depths: DepthBook
     semantics: SemanticVectorBook
+    index: Arrays = field(default_factory=dict)
+    """What the method itself has worked out from the other books, by name."""
 
 
 def view_frame(views: ViewBook, depths: DepthBook, i: int, view: View) -> Frame:

@@ -32,22 +32,44 @@ class Retrieval:
 
 
 @dataclass(frozen=True, eq=False)
-class Localization:
-    """L_3D, and the vote that led to it."""
+class Place:
+    """One place at which the views agree that the object is."""
 
     location: Float64Array
     """(3,) L_3D, world frame, scene units."""
-    retrieval: Retrieval
-    supporters: NDArray[np.bool_]
-    """(v,) the views whose point lies within the voting radius of the winner's."""
     radius: float
-    """Voting radius, scene units."""
+    """How far the object, or the vote, reaches around it, scene units."""
+    weight: float
+    """What speaks for it; comparable between the places of one localisation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Localization:
+    """Where the object is, and the vote that led there."""
+
+    retrieval: Retrieval
+    """The patches that were put forward."""
+    labels: NDArray[np.int64]
+    """(v,) index of the place that each of them supports, -1 for none."""
+    places: tuple[Place, ...]
+    """Where the object is, the place with the most behind it first; the paper's method has
+    exactly one, others may find several instances or none."""
+    radius: float
+    """Voting radius: points nearer than this support each other. Scene units."""
+    confidence: float
+    """How sure it is; comparable only within one method and its models."""
+    is_stuff: bool = False
+    """Whether it is an area (a lawn, a wall) rather than a thing with a place of its own."""
 
     @property
-    def confidence(self) -> float:
-        """Share of the voting views that agree, times their mean relevancy."""
-        agreed = self.supporters
-        return float(agreed.mean() * self.retrieval.relevancies[agreed].mean())
+    def location(self) -> Float64Array | None:
+        """(3,) L_3D: the first place, world frame; None where there is none."""
+        return self.places[0].location if self.places else None
+
+    @property
+    def supporters(self) -> NDArray[np.bool_]:
+        """(v,) flags of the patches that support the first place."""
+        return np.asarray(self.labels == 0)
 
 
 def relevancy(features: NDArray[np.float32], text: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -203,11 +225,16 @@ def localize(
         radius_fraction: See :func:`voting_radius`.
 
     Returns:
-        L_3D, the mean of the agreeing views' points; None where no view puts a point forward.
+        One place, the mean of the agreeing views' points; its weight, and the confidence, are the
+        share of the views that agree times their mean relevancy. None where no view puts a point
+        forward.
     """
     retrieval = retrieve(book, depths, views, text, top_k, depth_kind)
     if len(retrieval.points) == 0:
         return None
     radius = voting_radius(retrieval, views, radius_fraction)
     supporters = vote(retrieval.points, radius)
-    return Localization(retrieval.points[supporters].mean(axis=0), retrieval, supporters, radius)
+    support = float(supporters.mean() * retrieval.relevancies[supporters].mean())
+    place = Place(retrieval.points[supporters].mean(axis=0), radius, support)
+    labels = np.where(supporters, 0, -1).astype(np.int64)
+    return Localization(retrieval, labels, (place,), radius, confidence=support)

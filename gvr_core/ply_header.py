@@ -35,6 +35,8 @@ class VertexTable:
     """Bytes before the first vertex (binary) or before the first element (ascii)."""
     lines_before: int
     """Lines of other elements before the first vertex (ascii)."""
+    comments: tuple[str, ...] = ()
+    """The header's comments on the file and on its vertices."""
 
 
 def read_vertex_table(stream: BinaryIO, size: int, path: Path) -> VertexTable:
@@ -84,6 +86,7 @@ def read_vertex_table(stream: BinaryIO, size: int, path: Path) -> VertexTable:
         ascii=ply.text,
         offset=data_offset if ply.text else data_offset + skipped,
         lines_before=sum(n for _, n in before),
+        comments=(*ply.comments, *vertex.comments),
     )
 
 

@@ -58,7 +58,7 @@ def read_ply(path: Path | str) -> Gaussians:
     path = Path(path)
     with open_splat(path) as (stream, size):
         table = read_vertex_table(stream, size, path)
-        k = _sh_count(table, path)
+        k = sh_count(table, path)
         n = table.count
         means, scales = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
         quats, opacities = np.empty((n, 4), np.float32), np.empty(n, np.float32)
@@ -126,8 +126,12 @@ def write_ply(path: Path | str, gaussians: Gaussians) -> None:
         PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(stream)
 
 
-def _sh_count(table: VertexTable, path: Path) -> int:
-    """Spherical harmonics a channel (K), from the columns' names; all that is needed is there."""
+def sh_count(table: VertexTable, path: Path) -> int:
+    """Spherical harmonics a channel (K), from the columns' names.
+
+    Raises:
+        SplatFormatError: if a column of a Gaussian is missing, or K fits no degree.
+    """
     names = table.dtype.names or ()
     missing = [name for name in _REQUIRED if name not in names]
     if missing:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvr_core.books import PatchBook
-from gvr_core.localize import Localization, Retrieval
+from gvr_core.localize import Localization, Place, Retrieval
 from gvr_core.methods import Grounding
 
 BEV, RING = 0, 1
@@ -37,9 +37,14 @@ def pack_localization(localization: Localization | None) -> dict[str, Any] | Non
         return None
     retrieval = localization.retrieval
     return {
-        "location": localization.location.tolist(),
+        "places": [
+            {"location": place.location.tolist(), "radius": place.radius, "weight": place.weight}
+            for place in localization.places
+        ],
+        "labels": localization.labels.tolist(),
         "radius": localization.radius,
-        "supporters": localization.supporters.tolist(),
+        "confidence": localization.confidence,
+        "is_stuff": localization.is_stuff,
         "views": retrieval.views.tolist(),
         "patches": retrieval.patches.tolist(),
         "relevancies": [float(value) for value in retrieval.relevancies],
@@ -59,11 +64,17 @@ def unpack_localization(data: Mapping[str, Any] | None) -> Localization | None:
         np.array(data["pixels"], np.float64).reshape(-1, 2),
         np.array(data["points"], np.float64).reshape(-1, 3),
     )
+    places = tuple(
+        Place(np.array(place["location"], np.float64), place["radius"], place["weight"])
+        for place in data["places"]
+    )
     return Localization(
-        np.array(data["location"], np.float64),
         retrieval,
-        np.array(data["supporters"], np.bool_),
-        float(data["radius"]),
+        np.array(data["labels"], np.int64),
+        places,
+        data["radius"],
+        data["confidence"],
+        data["is_stuff"],
     )
 
 

@@ -1,13 +1,13 @@
-"""The seven stages of a scene: what each reads, what its cache key is made of, what it computes.
+"""The eight stages of a scene: what each reads, what its cache key is made of, what it computes.
 
 ::
 
-    render ─┬─> masks ──> encode ──> query ──> segment ──> evaluate
-    depth ──┘ (also into encode and query)
+    render ─┬─> masks ──> encode ──> index ──> query ──> segment ──> evaluate
+    depth ──┘             (query and segment see all the books)
 
 A stage's key is its name and version, the digests of its inputs, and its own slice of the
 configuration; :data:`STAGES` shows all of them at a glance. Changing the queries leaves the first
-four stages as they are; changing the renderer changes every picture, and so everything below.
+five stages as they are; changing the renderer changes every picture, and so everything below.
 """
 
 from __future__ import annotations
@@ -69,8 +69,7 @@ class SceneJob:
         models = self.tools.models
         return {
             "method": self.method.method,
-            "locate": self.method.locate.model_dump(mode="json"),
-            "segment": self.method.segment.model_dump(mode="json"),
+            **self.method.settings(),
             "renderer": self.tools.renderer.name,
             "segmenter": models.segmenter.name,
             "encoder": models.encoder.name,
@@ -92,7 +91,7 @@ def compute_render(store: Store, inputs: Inputs, config: Config, job: SceneJob) 
         scene.gaussians,
         scene.views,
         job.tools.renderer,
-        job.method.segment.background,
+        job.method.background,
         lambda views: job.track(views, "render"),
     )
     artifact = store.put_arrays("view_book", book.to_arrays())
@@ -139,12 +138,17 @@ def compute_encode(store: Store, inputs: Inputs, config: Config, job: SceneJob) 
     return StageOutput({"features": artifact}, {"c": int(book.features.shape[1])})
 
 
+def compute_index(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
+    """The method's own part of the preparation; the paper's has none."""
+    method = build_method(job.method, job.tools)
+    arrays = method.index(job.data.scene, _books(store, inputs))
+    return StageOutput({"index": store.put_arrays("index", arrays)}, {"arrays": sorted(arrays)})
+
+
 def compute_query(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """RFL: localise every query."""
     method = build_method(job.method, job.tools)
-    features = store.load_arrays(inputs["encode"]["features"])["features"]
-    semantics = SemanticVectorBook(features, _patch_book(store, inputs))
-    books = Books(_view_book(store, inputs), _depth_book(store, inputs), semantics)
+    books = _books(store, inputs)
     places, seconds = {}, {}
     for query in job.track(job.queries, "query"):
         start = time.perf_counter()
@@ -157,12 +161,13 @@ def compute_query(store: Store, inputs: Inputs, config: Config, job: SceneJob) -
 def compute_segment(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Segment every query's target, given where it is."""
     method = build_method(job.method, job.tools)
+    books = _books(store, inputs)
     places = store.load_json(inputs["query"]["localizations"])
     groundings, seconds = [], {}
     for query in job.track(job.queries, "segment"):
         start = time.perf_counter()
         place = unpack_localization(places[query.id])
-        grounding = method.segment(job.data.scene, place, query)
+        grounding = method.segment(job.data.scene, books, place, query)
         seconds[query.id] = grounding.seconds | {"segment": time.perf_counter() - start}
         groundings.append(grounding)
     arrays = pack_groundings(groundings, len(job.data.scene.gaussians))
@@ -195,7 +200,7 @@ class PlannedStage:
 
 STAGES = (
     PlannedStage(
-        Stage("render", 1, compute_render, ("renderer", "segment.background")),
+        Stage("render", 1, compute_render, ("renderer", "background")),
         ("gaussians", "views"),
     ),
     PlannedStage(
@@ -211,17 +216,21 @@ STAGES = (
         ("views", "render", "depth", "masks"),
     ),
     PlannedStage(
-        Stage("query", 1, compute_query, ("method", "encoder", "locate")),
-        ("views", "texts", "render", "depth", "masks", "encode"),
+        Stage("index", 1, compute_index, ("method", "renderer", "index")),
+        ("gaussians", "views", "render", "depth", "masks", "encode"),
+    ),
+    PlannedStage(
+        Stage("query", 2, compute_query, ("method", "encoder", "locate")),
+        ("gaussians", "views", "texts", "render", "depth", "masks", "encode", "index"),
     ),
     PlannedStage(
         Stage(
             "segment",
-            1,
+            2,
             compute_segment,
-            ("method", "renderer", "segmenter", "text_segmenter", "locate.rfl", "segment"),
+            ("method", "renderer", "segmenter", "encoder", "text_segmenter", "segment"),
         ),
-        ("gaussians", "views", "texts", "query"),
+        ("gaussians", "views", "texts", "render", "depth", "masks", "encode", "index", "query"),
     ),
     PlannedStage(
         Stage("evaluate", 1, compute_evaluate, ("renderer", "protocols")),
@@ -230,7 +239,7 @@ STAGES = (
 )
 """The stages, in the order in which they run."""
 
-PREPARATION = ("render", "depth", "masks", "encode")
+PREPARATION = ("render", "depth", "masks", "encode", "index")
 """Stages before any query: the paper's preparation time."""
 
 
@@ -264,6 +273,14 @@ def _depth_book(store: Store, inputs: Inputs) -> DepthBook:
 
 def _patch_book(store: Store, inputs: Inputs) -> PatchBook:
     return PatchBook.from_arrays(store.load_arrays(inputs["masks"]["patches"]))
+
+
+def _books(store: Store, inputs: Inputs) -> Books:
+    """All the books that the earlier stages have made."""
+    features = store.load_arrays(inputs["encode"]["features"])["features"]
+    semantics = SemanticVectorBook(features, _patch_book(store, inputs))
+    index = store.load_arrays(inputs["index"]["index"]) if "index" in inputs else {}
+    return Books(_view_book(store, inputs), _depth_book(store, inputs), semantics, index)
 
 
 def _digest(value: object) -> str:

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from pydantic import BaseModel, ConfigDict, Field
 
 from gvr_core.errors import unknown_name
 from gvr_core.methods.base import Grounding, Method, Toolbox
 from gvr_core.methods.gvr_paper import GVRPaper, LocateConfig, SegmentConfig
+from gvr_core.methods.gvr_robust import GVRRobust
+from gvr_core.methods.lift import Lift, LiftConfig
+from gvr_core.methods.robust_config import (
+    RobustConfig,
+    RobustIndex,
+    RobustLocate,
+    RobustSegment,
+)
 
 METHODS = {
     "gvr-paper": "the paper's method",
+    "gvr-robust": "the same idea with the weak places mended, each by a switch of its own",
+    "lift": "baseline of another school: view features lifted onto the Gaussians",
     "random-patch": "control: the paper's method with a random patch retrieved in each view",
 }
 """Name -> one line on what it is."""
@@ -28,8 +41,16 @@ class MethodConfig(BaseModel):
     """A name from :data:`METHODS`."""
     label: str = Field(default="", pattern=r"^[A-Za-z0-9 _./+-]{0,64}$")
     """Name in tables and MLflow; the method's own name where empty."""
+    leave_one_out: bool = False
+    """Also run the method without each of its parts; see :func:`variants`."""
     locate: LocateConfig = LocateConfig()
+    """``gvr-paper`` and ``random-patch``: retrieval for localising."""
     segment: SegmentConfig = SegmentConfig()
+    """``gvr-paper`` and ``random-patch``: online segmentation."""
+    robust: RobustConfig = RobustConfig()
+    """``gvr-robust``: its switches."""
+    lift: LiftConfig = LiftConfig()
+    """``lift``: its settings."""
 
     @property
     def shown_name(self) -> str:
@@ -40,6 +61,61 @@ class MethodConfig(BaseModel):
     def encoder_override(self) -> str | None:
         """The encoder that the method itself demands, if any."""
         return RANDOM_ENCODER if self.method == "random-patch" else None
+
+    @property
+    def background(self) -> tuple[float, float, float]:
+        """Colour behind the renders of the knowledge views."""
+        return self.segment.background
+
+    def settings(self) -> dict[str, Any]:
+        """What each step of the method depends on, as JSON values; goes into cache keys.
+
+        Settings of other methods are left out: they change nothing.
+        """
+        index: dict[str, Any] = {}
+        if self.method == "gvr-robust":
+            index = _part(self.robust, RobustIndex)
+            locate = _part(self.robust, RobustLocate)
+            segment = _part(self.robust, RobustSegment)
+        elif self.method == "lift":
+            locate = {}
+            segment = self.lift.model_dump(mode="json")
+        else:
+            locate = self.locate.model_dump(mode="json")
+            segment = self.segment.model_dump(mode="json") | {"rfl": self.locate.rfl}
+        return {
+            "background": list(self.background),
+            "index": index,
+            "locate": locate,
+            "segment": segment,
+        }
+
+
+def variants(config: MethodConfig) -> tuple[MethodConfig, ...]:
+    """A method, and where its configuration says so, the same without each of its parts.
+
+    Returns:
+        The configuration itself, then one for each part left out: the paper's own ablations, or
+        one for each switch of ``gvr-robust`` that is on.
+    """
+    base = config.model_copy(update={"leave_one_out": False})
+    if not config.leave_one_out:
+        return (base,)
+    parts: list[tuple[str, dict[str, Any]]] = []
+    if config.method == "gvr-robust":
+        parts = [
+            (
+                f"w/o {name.replace('_', ' ')}",
+                {"robust": base.robust.model_copy(update={name: False})},
+            )
+            for name in base.robust.switches()
+        ]
+    elif config.method != "lift":
+        no_rfl: dict[str, Any] = {"locate": base.locate.model_copy(update={"rfl": False})}
+        no_smfi: dict[str, Any] = {"segment": base.segment.model_copy(update={"smfi": False})}
+        parts = [("w/o RFL", no_rfl), ("w/o SMFI", no_smfi), ("w/o RFL and SMFI", no_rfl | no_smfi)]
+    prefix = f"{config.label} " if config.label else ""
+    return base, *(base.model_copy(update=part | {"label": prefix + name}) for name, part in parts)
 
 
 def check_method(name: str) -> None:
@@ -59,7 +135,18 @@ def build_method(config: MethodConfig, tools: Toolbox) -> Method:
         ConfigError: for a name that is not registered.
     """
     check_method(config.method)
+    makers: dict[str, Callable[[], Method]] = {
+        "gvr-robust": lambda: GVRRobust(tools, config.robust, config.background),
+        "lift": lambda: Lift(tools, config.lift, config.background),
+    }
+    if config.method in makers:
+        return makers[config.method]()
     return GVRPaper(tools, config.locate, config.segment, config.shown_name)
+
+
+def _part(config: RobustConfig, part: type[BaseModel]) -> dict[str, Any]:
+    """The settings that one step reads."""
+    return config.model_dump(mode="json", include=set(part.model_fields))
 
 
 __all__ = [
@@ -70,4 +157,5 @@ __all__ = [
     "Toolbox",
     "build_method",
     "check_method",
+    "variants",
 ]

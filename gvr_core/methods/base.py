@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gvr_core import preparation
 from gvr_core.books import Books
 from gvr_core.localize import Localization
 from gvr_core.models.base import Models
@@ -54,8 +56,8 @@ class Grounding:
 class Method(Protocol):
     """A way to ground text in Gaussians.
 
-    ``prepare`` and ``ground`` are the whole of it. ``locate`` and ``segment`` are the two halves
-    of ``ground``; a workflow that caches them apart calls them one after the other.
+    ``prepare`` and ``ground`` are the whole of it. A workflow that caches the steps apart calls
+    ``index`` after the books are made, then for each query ``locate`` and ``segment``.
     """
 
     @property
@@ -64,7 +66,11 @@ class Method(Protocol):
         ...
 
     def prepare(self, scene: Scene) -> Books:
-        """Everything that can be done before a query is known."""
+        """Everything that can be done before a query is known, the index included."""
+        ...
+
+    def index(self, scene: Scene, books: Books) -> dict[str, NDArray[Any]]:
+        """The method's own part of the preparation, made from the other books; may be empty."""
         ...
 
     def ground(self, scene: Scene, books: Books, query: Query) -> Grounding:
@@ -75,6 +81,55 @@ class Method(Protocol):
         """Where the query's object is; None where the method cannot tell or does not ask."""
         ...
 
-    def segment(self, scene: Scene, localization: Localization | None, query: Query) -> Grounding:
+    def segment(
+        self, scene: Scene, books: Books, localization: Localization | None, query: Query
+    ) -> Grounding:
         """Which Gaussians are the query's object, given where it is."""
         ...
+
+
+def prepare_books(
+    scene: Scene, tools: Toolbox, background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Books:
+    """(A) The Semantic Vector Book and the Depth Book of a scene's views; no index yet.
+
+    Args:
+        scene: The scene.
+        tools: Renderer and models.
+        background: Colour behind the renders.
+    """
+    renderer, models = tools.renderer, tools.models
+    views = preparation.render_views(scene.gaussians, scene.views, renderer, background)
+    depths = preparation.render_depths(scene.gaussians, scene.views, renderer)
+    patches = preparation.segment_views(views, depths, scene.views, models.segmenter)
+    semantics = preparation.encode_patches(views, depths, scene.views, patches, models.encoder)
+    return Books(views, depths, semantics)
+
+
+def nothing_found(
+    scene: Scene, localization: Localization | None = None, confidence: float = 0.0
+) -> Grounding:
+    """The answer "not here"."""
+    flags = np.zeros(len(scene.gaussians), dtype=np.bool_)
+    return Grounding(
+        flags,
+        flags.astype(np.float32),
+        None,
+        found=False,
+        confidence=confidence,
+        localization=localization,
+    )
+
+
+class Clock:
+    """Wall seconds between laps."""
+
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, step: str) -> None:
+        """Add the time since the last lap to a step."""
+        now = time.perf_counter()
+        self.laps[step] = self.laps.get(step, 0.0) + now - self._last
+        self._last = now

@@ -16,16 +16,23 @@ patch (:func:`gvr_core.localize.patch_position`), the voting radius
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from gvr_core import paper, preparation
+from gvr_core import paper
 from gvr_core.books import Books
 from gvr_core.localize import Localization, localize
-from gvr_core.methods.base import Grounding, Toolbox
+from gvr_core.methods.base import (
+    Clock,
+    Grounding,
+    Toolbox,
+    nothing_found,
+    prepare_books,
+)
 from gvr_core.scene import Query, Scene
 from gvr_core.segment import (
     birds_eye_view,
@@ -89,18 +96,15 @@ class GVRPaper:
 
     def prepare(self, scene: Scene) -> Books:
         """(A) The Semantic Vector Book and the Depth Book of the scene's views."""
-        renderer, models = self.tools.renderer, self.tools.models
-        views = preparation.render_views(
-            scene.gaussians, scene.views, renderer, self.segmenting.background
-        )
-        depths = preparation.render_depths(scene.gaussians, scene.views, renderer)
-        patches = preparation.segment_views(views, depths, scene.views, models.segmenter)
-        semantics = preparation.encode_patches(views, depths, scene.views, patches, models.encoder)
-        return Books(views, depths, semantics)
+        return prepare_books(scene, self.tools, self.segmenting.background)
+
+    def index(self, scene: Scene, books: Books) -> dict[str, NDArray[Any]]:
+        """Nothing: the books are all that the paper prepares."""
+        return {}
 
     def ground(self, scene: Scene, books: Books, query: Query) -> Grounding:
         """(B) then (C)."""
-        return self.segment(scene, self.locate(scene, books, query), query)
+        return self.segment(scene, books, self.locate(scene, books, query), query)
 
     def locate(self, scene: Scene, books: Books, query: Query) -> Localization | None:
         """(B) L_3D by view retrieval; None without RFL, or where no view puts a patch forward."""
@@ -117,28 +121,27 @@ class GVRPaper:
             self.locating.vote_radius,
         )
 
-    def segment(self, scene: Scene, localization: Localization | None, query: Query) -> Grounding:
+    def segment(
+        self, scene: Scene, books: Books, localization: Localization | None, query: Query
+    ) -> Grounding:
         """(C) From L_3D, or without RFL from the text alone, to the target Gaussians."""
-        if self.locating.rfl and localization is None:
-            return self._nothing(scene)
+        place = None if localization is None else localization.location
+        if self.locating.rfl and place is None:
+            return nothing_found(scene, localization)
         config, models = self.segmenting, self.tools.models
-        clock = _Clock()
-        centre = (
-            focus_point([view.camera for view in scene.views])
-            if localization is None
-            else localization.location
-        )
+        clock = Clock()
+        centre = focus_point([view.camera for view in scene.views]) if place is None else place
         bev = birds_eye_view(
             scene, centre, self.tools.renderer, config.bev_distance, config.background
         )
         clock.lap("bev_render")
-        if localization is None:
+        if place is None:
             coarse, bev_view = coarse_by_text(scene, bev, query.text, models.text_segmenter)
         else:
             coarse, bev_view = coarse_by_point(scene, bev, centre, models.segmenter)
         clock.lap("bev_mask")
         location = centre
-        if localization is None and coarse.any():
+        if place is None and coarse.any():
             location = np.median(scene.gaussians.means[coarse], axis=0).astype(np.float64)
 
         flags, ring = coarse, []
@@ -161,7 +164,7 @@ class GVRPaper:
         return Grounding(
             flags=flags,
             scores=flags.astype(np.float32),
-            location=location if localization is not None or coarse.any() else None,
+            location=location if place is not None or coarse.any() else None,
             found=found,
             confidence=0.0 if localization is None else localization.confidence,
             instances=(flags,) if found else (),
@@ -170,21 +173,3 @@ class GVRPaper:
             bev=bev_view,
             ring=ring,
         )
-
-    @staticmethod
-    def _nothing(scene: Scene) -> Grounding:
-        flags = np.zeros(len(scene.gaussians), dtype=np.bool_)
-        return Grounding(flags, flags.astype(np.float32), None, found=False, confidence=0.0)
-
-
-class _Clock:
-    """Wall seconds between laps."""
-
-    def __init__(self) -> None:
-        self.laps: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def lap(self, step: str) -> None:
-        now = time.perf_counter()
-        self.laps[step] = self.laps.get(step, 0.0) + now - self._last
-        self._last = now

@@ -15,7 +15,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from numpy.typing import NDArray
-from oracle_models import OracleWorld, oracle_models
+from gvr_core.models.oracle import OracleWorld, oracle_models
 
 from datasets.base import SceneData
 from datasets.registry import get_dataset

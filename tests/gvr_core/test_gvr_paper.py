@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from oracle_models import OracleTextSegmenter, OracleWorld, oracle_models
+from gvr_core.models.oracle import OracleTextSegmenter, OracleWorld, oracle_models
 from small_scene import OBJECTS, two_boxes
 
 from gvr_core.methods import MethodConfig, Toolbox, build_method
@@ -59,7 +59,7 @@ def test_ground_is_locate_then_segment(world, books) -> None:
     method = method_of(oracle)
     localization = method.locate(scene, books, QUERIES[0])
     assert localization is not None
-    halves = method.segment(scene, localization, QUERIES[0])
+    halves = method.segment(scene, books, localization, QUERIES[0])
     whole = method.ground(scene, books, QUERIES[0])
     np.testing.assert_array_equal(halves.flags, whole.flags)
     np.testing.assert_array_equal(halves.location, whole.location)

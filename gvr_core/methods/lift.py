@@ -1,0 +1,148 @@
+"""``lift``: a training-free baseline of another school.
+
+Every patch's semantic vector is lifted onto the Gaussians by their rendering weights in the
+patch; a query is compared with each Gaussian's own vector, and a threshold decides. There is no
+localising and no segmenting at query time. Source of the idea: Marrie et al., "LUDVIG" (2024),
+and Cheng et al., "Occam's LGS" (2024); this is the plain weighted mean that both start from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy import sparse
+
+from gvr_core.books import Books
+from gvr_core.localize import Localization
+from gvr_core.methods.base import Clock, Grounding, Toolbox, nothing_found, prepare_books
+from gvr_core.methods.robust_config import NEGATIVES
+from gvr_core.robust.ballot import UNSEEN, mask_weights
+from gvr_core.scene import Query, Scene
+
+LOCATION_SHARE = 0.1
+"""The place of an answer is the median of this part of its Gaussians, the most relevant ones."""
+
+
+class LiftConfig(BaseModel):
+    """Settings of ``lift``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    threshold: float = Field(default=0.5, gt=0, lt=1)
+    """A Gaussian is the object where its relevancy is above this."""
+    temperature: float = Field(default=10.0, gt=0)
+    """Of the softmax between query and canonical phrase, as in LERF."""
+
+
+@dataclass(frozen=True)
+class Lift:
+    """The lifting baseline.
+
+    Args:
+        tools: Renderer and models.
+        config: Its settings.
+        background: Colour behind the renders of the views.
+        name: The name to report.
+    """
+
+    tools: Toolbox
+    config: LiftConfig
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    name: str = "lift"
+
+    def prepare(self, scene: Scene) -> Books:
+        """The books, and every Gaussian's weights in every patch."""
+        books = prepare_books(scene, self.tools, self.background)
+        return replace(books, index=self.index(scene, books))
+
+    def index(self, scene: Scene, books: Books) -> dict[str, NDArray[Any]]:
+        """W (N x M), sparse, and the length of each lifted vector.
+
+        W_gj is the sum over the pixels of patch j of alpha_g T; the lifted vector is
+        F_g = sum_j W_gj f_j. Only its length (N,) is kept beside W: F_g t = sum_j W_gj (f_j t),
+        so the N x c vectors themselves are never needed again.
+        """
+        patches, n = books.semantics.patches, len(scene.gaussians)
+        columns = []
+        for view in range(patches.n_views):
+            camera = scene.views[view].camera
+            for j in range(int(patches.view_ptr[view]), int(patches.view_ptr[view + 1])):
+                inside, _ = mask_weights(
+                    self.tools.renderer, scene.gaussians, camera, patches.pixels(j)
+                )
+                rows = np.flatnonzero(inside > UNSEEN)
+                columns.append((rows, inside[rows]))
+        counts = [len(rows) for rows, _ in columns]
+        weights = sparse.csc_matrix(
+            (
+                np.concatenate([np.empty(0, np.float32), *(w for _, w in columns)]),
+                np.concatenate([np.empty(0, np.int64), *(r for r, _ in columns)]),
+                np.cumsum([0, *counts]),
+            ),
+            shape=(n, len(columns)),
+        ).tocsr()
+        return {
+            "weights": weights.data,
+            "patches": weights.indices.astype(np.int32),
+            "row_ptr": weights.indptr.astype(np.int64),
+            "lengths": _lengths(weights, books.semantics.features),
+        }
+
+    def ground(self, scene: Scene, books: Books, query: Query) -> Grounding:
+        """Every Gaussian that is more like the query than like any canonical phrase."""
+        return self.segment(scene, books, None, query)
+
+    def locate(self, scene: Scene, books: Books, query: Query) -> Localization | None:
+        """Nothing: places are not asked for."""
+        return None
+
+    def segment(
+        self, scene: Scene, books: Books, localization: Localization | None, query: Query
+    ) -> Grounding:
+        """Every Gaussian that is more like the query than like any canonical phrase."""
+        clock = Clock()
+        index, features = books.index, books.semantics.features
+        weights = sparse.csr_matrix(
+            (index["weights"], index["patches"], index["row_ptr"]),
+            shape=(len(scene.gaussians), len(features)),
+        )
+        texts = self.tools.models.encoder.encode_texts([query.text, *NEGATIVES])
+        lengths = index["lengths"][:, None]
+        seen = index["lengths"] > 0
+        cosines = np.divide(
+            weights @ (features @ texts.T),
+            lengths,
+            out=np.zeros((len(seen), len(texts))),
+            where=lengths > 0,
+        )
+        margin = cosines[:, 0] - cosines[:, 1:].max(axis=1)
+        scores = (1 / (1 + np.exp(-self.config.temperature * margin))).astype(np.float32)
+        scores[~seen] = 0.0
+        flags = scores > self.config.threshold
+        clock.lap("compare")
+        sureness = float(np.percentile(scores[seen], 99)) if seen.any() else 0.0
+        if not flags.any():
+            return nothing_found(scene, None, sureness)
+        best = flags & (scores >= np.quantile(scores[flags], 1 - LOCATION_SHARE))
+        return Grounding(
+            flags=flags,
+            scores=flags.astype(np.float32),
+            location=np.median(scene.gaussians.means[best], axis=0).astype(np.float64),
+            found=True,
+            confidence=sureness,
+            instances=(flags,),
+            seconds=clock.laps,
+        )
+
+
+def _lengths(weights: sparse.csr_matrix, features: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(N,) length of each Gaussian's lifted vector, a few thousand rows at a time."""
+    lengths = np.zeros(weights.shape[0], np.float32)
+    for first in range(0, weights.shape[0], 8192):
+        lifted = weights[first : first + 8192] @ features
+        lengths[first : first + 8192] = np.linalg.norm(lifted, axis=1)
+    return lengths

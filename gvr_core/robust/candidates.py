@@ -1,0 +1,173 @@
+"""Candidates: the patches that may be the object, and where their surfaces lie in 3D."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gvr_core.books import DepthBook, PatchBook
+from gvr_core.cameras import Camera
+from gvr_core.localize import patch_position
+from gvr_core.scene import View
+
+BoolArray = NDArray[np.bool_]
+Float64Array = NDArray[np.float64]
+
+TIE_MARGIN = 0.02
+"""Relevancies in one step of this size count as equal; then the whole goes before its parts."""
+OVERLAP = 0.5
+"""Two patches of a view are the same thing where this part of the smaller lies in the other."""
+ERODE = 0.2
+"""A patch is eroded by this part of the radius of a disc of its area: depth is least certain at
+an outline."""
+MAD_LIMIT = 3.0
+"""Depths further from the median than this many (scaled) median deviations are not the object's."""
+DEPTH_SLACK = 0.02
+"""Depths within this fraction of the median always are."""
+SAMPLES = 256
+"""Points kept of each candidate's surface."""
+RADIUS_PERCENTILE = 90.0
+"""A candidate's radius is this percentile of its points' distances from their middle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A patch that may be the object."""
+
+    view: int
+    """Index of its view."""
+    patch: int
+    """Index in the patch book."""
+    relevancy: float
+    pixel: tuple[float, float]
+    """L_2D: (x, y), pixels."""
+    surface: Float64Array
+    """(s, 3) points of what it shows, world frame, s >= 1."""
+    point: Float64Array
+    """(3,) L_3D of this view: the middle of the surface."""
+    radius: float
+    """Scene units."""
+
+
+def gated_patches(
+    scores: NDArray[np.float32], patches: PatchBook, threshold: float, coarsest_only: bool = False
+) -> list[int]:
+    """The patches above a threshold, each thing of a view once.
+
+    Args:
+        scores: (M,) relevancies.
+        patches: The M patches.
+        threshold: A patch must score more.
+        coarsest_only: Look at the coarsest level of each view alone.
+
+    Returns:
+        Indices into the book, by view; within a view the most relevant first, and of equally
+        relevant ones the largest.
+    """
+    chosen: list[int] = []
+    for view in range(patches.n_views):
+        inside = np.arange(patches.view_ptr[view], patches.view_ptr[view + 1])
+        if coarsest_only and len(inside):
+            inside = inside[patches.levels[inside] == patches.levels[inside].max()]
+        inside = inside[scores[inside] > threshold]
+        steps = np.floor(scores[inside] / TIE_MARGIN)
+        taken: list[BoolArray] = []
+        for j in inside[np.lexsort((inside, -patches.areas[inside], -steps))]:
+            pixels = patches.pixels(int(j))
+            if not any(_overlap(pixels, other) > OVERLAP for other in taken):
+                taken.append(pixels)
+                chosen.append(int(j))
+    return chosen
+
+
+def best_of_each_view(
+    scores: NDArray[np.float32], patches: PatchBook, coarsest_only: bool = False
+) -> list[int]:
+    """The most relevant patch of every view, however little it says; the paper's retrieval."""
+    chosen = []
+    for view in range(patches.n_views):
+        inside = np.arange(patches.view_ptr[view], patches.view_ptr[view + 1])
+        if coarsest_only and len(inside):
+            inside = inside[patches.levels[inside] == patches.levels[inside].max()]
+        if len(inside):
+            chosen.append(int(inside[np.argmax(scores[inside])]))
+    return chosen
+
+
+def place_candidate(
+    patch: int,
+    relevancy: float,
+    patches: PatchBook,
+    depths: DepthBook,
+    views: Sequence[View],
+    median_depth: bool = True,
+) -> Candidate | None:
+    """Where a patch's surface lies; None where it has no depth.
+
+    Args:
+        patch: Index in the book.
+        relevancy: Its relevancy.
+        patches: The patches.
+        depths: B_d.
+        views: The knowledge views.
+        median_depth: Depth is the median over the eroded patch, and what deviates is left out;
+            else the expected depth at the patch's position stands for all of it.
+    """
+    view = patches.view_of(patch)
+    pixels, camera = patches.pixels(patch), views[view].camera
+    if not median_depth:
+        return _by_position(view, patch, relevancy, pixels, depths.depth(view), camera)
+    depth = depths.depth(view, "median")
+    core = eroded(pixels) & (depth > 0)
+    if not core.any():
+        core = pixels & (depth > 0)
+        if not core.any():
+            return None
+    middle = float(np.median(depth[core]))
+    deviation = 1.4826 * float(np.median(np.abs(depth[core] - middle)))
+    limit = max(MAD_LIMIT * deviation, DEPTH_SLACK * middle)
+    rows, columns = np.nonzero(pixels & (depth > 0) & (np.abs(depth - middle) <= limit))
+    if len(rows) > SAMPLES:
+        kept = np.linspace(0, len(rows) - 1, SAMPLES).astype(np.int64)
+        rows, columns = rows[kept], columns[kept]
+    xy = np.stack([columns, rows], axis=1) + 0.5
+    surface = camera.unproject(xy, depth[rows, columns])
+    centre = np.median(surface, axis=0)
+    distances = np.linalg.norm(surface - centre, axis=1)
+    nearest = int(np.argmin(distances))
+    radius = float(np.percentile(distances, RADIUS_PERCENTILE))
+    pixel = (float(xy[nearest, 0]), float(xy[nearest, 1]))
+    return Candidate(view, patch, relevancy, pixel, surface, surface[nearest], radius)
+
+
+def eroded(pixels: BoolArray) -> BoolArray:
+    """A mask (H, W) without its outline; the depth of the erosion follows its size."""
+    steps = max(1, round(ERODE * float(np.sqrt(np.count_nonzero(pixels) / np.pi))))
+    inside: BoolArray = ndimage.distance_transform_edt(np.pad(pixels, 1))[1:-1, 1:-1] > steps
+    return inside
+
+
+def _by_position(
+    view: int,
+    patch: int,
+    relevancy: float,
+    pixels: BoolArray,
+    depth: NDArray[np.float32],
+    camera: Camera,
+) -> Candidate | None:
+    x, y = patch_position(pixels)
+    z = float(depth[int(y), int(x)])
+    if z <= 0:
+        return None
+    point = camera.unproject((x, y), z)
+    radius = float(np.sqrt(np.count_nonzero(pixels) / np.pi)) * z / float(camera.K[0, 0])
+    return Candidate(view, patch, relevancy, (x, y), point[None], point, radius)
+
+
+def _overlap(a: BoolArray, b: BoolArray) -> float:
+    smaller = min(np.count_nonzero(a), np.count_nonzero(b))
+    return float(np.count_nonzero(a & b) / smaller) if smaller else 0.0

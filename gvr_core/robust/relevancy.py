@@ -1,0 +1,31 @@
+"""How much like a text a patch is, compared with how much like anything at all it is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float32]
+
+
+def relevancy(
+    features: FloatArray, text: FloatArray, negatives: FloatArray, temperature: float
+) -> FloatArray:
+    """Relevancy of every patch: the worst of its pairwise softmaxes against canonical phrases.
+
+    min over i of exp(t q) / (exp(t q) + exp(t n_i)), with q the cosine with the query and n_i
+    those with the phrases. Above 0.5, the patch is more like the query than like each phrase.
+    Source: Kerr et al., "LERF: Language Embedded Radiance Fields" (ICCV 2023), section 3.3.
+
+    Args:
+        features: (M, c) unit vectors.
+        text: (c,) unit vector of the query.
+        negatives: (p, c) unit vectors of the phrases, p >= 1.
+        temperature: t.
+
+    Returns:
+        (M,) in (0, 1).
+    """
+    margin = features @ text - (features @ negatives.T).max(axis=1)
+    scores: FloatArray = (1 / (1 + np.exp(-np.float32(temperature) * margin))).astype(np.float32)
+    return scores
