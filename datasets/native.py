@@ -91,7 +91,7 @@ def read_scene(folder: Path, dataset: str | None = None, name: str | None = None
     gaussians = read_ply(folder / PLY)
     labels = read_labels(folder / "labels.npy", len(gaussians), len(record.objects))
     masks = _find_masks(folder / "test_masks", test_views, record.objects)
-    up = np.asarray(record.up) / np.linalg.norm(record.up)
+    up = None if record.up is None else np.asarray(record.up) / np.linalg.norm(record.up)
     return SceneData(
         Scene(dataset or record.dataset, name or record.name, gaussians, knowledge, up),
         queries,
@@ -99,7 +99,10 @@ def read_scene(folder: Path, dataset: str | None = None, name: str | None = None
         {
             "gaussians": file_digest(folder / PLY),
             "views": _digest(
-                [up.tobytes().hex(), *(_view_parts(view, True) for view in knowledge)]
+                [
+                    "" if up is None else up.tobytes().hex(),
+                    *(_view_parts(view, True) for view in knowledge),
+                ]
             ),
             "queries": file_digest(folder / "queries.json"),
             "truth": _digest(

@@ -37,8 +37,9 @@ class SceneFile(BaseModel):
     """The data set that the scene was made for."""
     name: str
     """The scene's name."""
-    up: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-    """Up direction, world frame; any length above zero."""
+    up: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None
+    """Up direction, world frame, any length above zero; null where nobody states it, and methods
+    take it from the cameras."""
     objects: tuple[str, ...]
     """Names of the labelled objects; ``labels.npy`` holds indices into them."""
     test_views: tuple[str, ...]
@@ -117,8 +118,10 @@ def check_scene_file(record: SceneFile, path: Path) -> None:
         for index, name in enumerate(names):
             check_name(name, kind, path, f"{key}[{index}]")
         check_distinct(names, kind, path, key)
-    if not any(abs(x) > 1e-9 for x in record.up):
-        raise DatasetError("no direction", path=path, place="up", accepted="a vector not zero")
+    if record.up is not None and not any(abs(x) > 1e-9 for x in record.up):
+        raise DatasetError(
+            "no direction", path=path, place="up", accepted="a vector not zero, or null"
+        )
 
 
 def read_queries(path: Path, objects: Sequence[str]) -> tuple[Query, ...]:
@@ -231,15 +234,14 @@ def validation_error(error: ValidationError, path: Path, prefix: str = "") -> Da
     errors = error.errors()
     first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
     place = prefix
-    for part in first["loc"]:
+    # "<...>" is no key: it tells which kind of table pydantic took a value for
+    for part in (p for p in first["loc"] if not str(p).startswith("<")):
         place += f"[{part}]" if isinstance(part, int) else f".{part}" if place else str(part)
     if first["type"] == "extra_forbidden":
         return DatasetError("an unknown key", path=path, place=place, accepted="the layout's keys")
-    message = (
-        first["msg"]
-        if isinstance(first["input"], dict)
-        else (f"{str(first['input'])[:80]!r}: {first['msg']}")
-    )
+    message = first["msg"].removeprefix("Value error, ")
+    if not isinstance(first["input"], dict):
+        message = f"{str(first['input'])[:80]!r}: {message}"
     return DatasetError(message, path=path, place=place or None)
 
 

@@ -57,7 +57,7 @@ def write_scene(
     objects: Sequence[str],
     labels: NDArray[np.int16],
     queries: Sequence[Query],
-    up: tuple[float, float, float],
+    up: tuple[float, float, float] | None,
     provenance: str,
     recipe: str = "",
     replace: bool = False,
@@ -73,7 +73,7 @@ def write_scene(
         objects: Names of the labelled objects.
         labels: (N,) int16 index into ``objects``, -1 for the rest.
         queries: Queries whose targets are among the objects.
-        up: (3,) up direction, world frame.
+        up: (3,) up direction, world frame; None where the scene is not to state one.
         provenance: Where the content comes from, and under which licence.
         recipe: sha256 of what a generated scene is made from.
         replace: Whether a scene that is there already gives way.

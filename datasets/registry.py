@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from datasets.base import Dataset, SceneData
-from datasets.composite import CompositeDataset
+from datasets.composite import COMPOSITE, LAYOUTS, STRESS, STRESS_LAYOUTS, CompositeDataset
 from datasets.gallery import GalleryDataset
 from datasets.native import read_scene
 from gvr_core.errors import ConfigError, DatasetError, unknown_name
@@ -81,19 +81,25 @@ def _gallery(seeds: object = (0, 1, 2, 3)) -> Dataset:
     return GalleryDataset(data_root() / "gallery", listed)
 
 
-def _composite(splats: object = None) -> Dataset:
-    if splats is not None and not (isinstance(splats, str) and splats):
-        raise ConfigError(
-            f"splats {splats!r}"[:100],
-            place="composite.settings.splats",
-            accepted="the path of a folder",
-        )
-    return CompositeDataset(data_root() / "composite", Path(splats) if splats else None)
+def _composed(name: str, layouts: Path) -> Callable[..., Dataset]:
+    """How a data set of layouts is made."""
+
+    def make(splats: object = None) -> Dataset:
+        if splats is not None and not (isinstance(splats, str) and splats):
+            raise ConfigError(
+                f"splats {splats!r}"[:100],
+                place=f"{name}.settings.splats",
+                accepted="the path of a folder",
+            )
+        return CompositeDataset(data_root() / name, Path(splats) if splats else None, layouts, name)
+
+    return make
 
 
 DATASETS: dict[str, tuple[Callable[..., Dataset], tuple[str, ...]]] = {
     "gallery": (_gallery, ("seeds",)),
-    "composite": (_composite, ("splats",)),
+    COMPOSITE: (_composed(COMPOSITE, LAYOUTS), ("splats",)),
+    STRESS: (_composed(STRESS, STRESS_LAYOUTS), ("splats",)),
 }
 """Name -> how to make it, and the settings it takes."""
 

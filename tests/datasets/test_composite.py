@@ -2,83 +2,27 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from small_scene import box, flat_gaussians
+from small_layout import LAYOUT, layouts, write_splats
 
 from datasets import composite
 from datasets.base import SceneData
-from datasets.composite import LAYOUTS, CompositeDataset, place, splats_folder
+from datasets.composite import LAYOUTS, CompositeDataset, splats_folder
 from datasets.images import read_image
 from datasets.layout import read_layout
 from datasets.making import visible
 from gvr_core.errors import ConfigError, DatasetError
-from gvr_core.gaussians import Gaussians
 from gvr_core.rendering.base import get_renderer
-from gvr_core.splat_io import read_splat, write_ply
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
-
-OBJECT = """
-[[objects]]
-name = "{name}"
-file = "{name}.ply"
-up = [0, -1, 0]
-front = [1, 0, 0]
-position = [{x}, {y}]
-height = {height}
-queries = ["a {name} thing", "something {name}"]
-"""
-
-REST = """
-[[absent]]
-text = "a zebra"
-[ground]
-texture = "brick"
-tint = [0.5, 0.5, 0.5]
-size = [6.0, 6.0]
-pitch = 0.1
-[cameras]
-resolution = [96, 72]
-fov = 50
-target = [0, 0, 0.3]
-[[cameras.knowledge]]
-count = 2
-radius = 4
-yaw = [-30, 90]
-pitch = [20, 30]
-[[cameras.test]]
-count = 1
-radius = 4
-yaw = [0, 10]
-pitch = [5, 5]
-"""
-
-LAYOUT = (
-    'licence = "made by a test"\n'
-    + OBJECT.format(name="red", x=0, y=-1, height=0.8)
-    + OBJECT.format(name="blue", x=0.25, y=1, height=1.2)
-    + REST
-)
 
 
 @pytest.fixture(scope="module")
 def splats(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("splats")
-    # standing on their heads, as captures do: y points down; 1 x 2 x 1 in the files' own unit
-    tall = box((3.0, -5.0, 2.0), 1.0, 12) * (1, 2, 1)
-    write_ply(folder / "red.ply", flat_gaussians(tall, (0.9, 0.1, 0.1), 0.06))
-    write_ply(folder / "blue.ply", flat_gaussians(tall, (0.1, 0.1, 0.9), 0.06))
-    return folder
-
-
-def layouts(folder: Path, text: str = LAYOUT) -> Path:
-    folder.mkdir(exist_ok=True)
-    (folder / "pair.toml").write_text(text)
-    return folder
+    return write_splats(tmp_path_factory.mktemp("splats"))
 
 
 @pytest.fixture(scope="module")
@@ -130,24 +74,6 @@ def test_a_mask_ends_where_another_object_covers(data: SceneData) -> None:
     assert abs(int(blue.sum()) - int(whole.sum() - covered)) < 0.1 * whole.sum()
 
 
-def test_a_splat_with_floaters_can_be_cut(splats: Path) -> None:
-    item = read_layout(layouts(splats.parent / "cut") / "pair.toml").objects[0]
-    near = flat_gaussians(box((0, 0, 0), 1.0, 6), (0.5, 0.5, 0.5), 0.05)
-    far = flat_gaussians(box((50, 0, 0), 1.0, 6), (0.5, 0.5, 0.5), 0.05)
-    both = Gaussians.concatenate([near, far])
-    kept = place(both, replace_item(item, ((-1, -1, -1), (1, 1, 1))), Path("x.ply"))
-    assert len(kept) == 216 and np.ptp(kept.means[:, 0]) < 1
-    with pytest.raises(DatasetError, match=r"x\.ply: no Gaussian lies inside keep_within"):
-        place(near, replace_item(item, ((5, 5, 5), (6, 6, 6))), Path("x.ply"))
-    flat = replace(near, means=near.means * np.float32([1, 0, 1]))
-    with pytest.raises(DatasetError, match="flat along its up"):
-        place(flat, item, Path("x.ply"))
-
-
-def replace_item(item, box_corners):
-    return item.model_copy(update={"keep_within": box_corners})
-
-
 def test_a_scene_is_made_again_only_when_something_changed(
     tmp_path: Path, splats: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -186,6 +112,26 @@ def test_a_scene_is_made_again_only_when_something_changed(
     (tmp_path / "made/pair/scene.json").write_text("damaged")
     load()
     assert len(made) == 5
+
+
+@pytest.mark.parametrize("states", [True, False])
+def test_a_moved_world_looks_the_same_and_knows_its_up(
+    tmp_path: Path, splats: Path, data: SceneData, states: bool
+) -> None:
+    world = "[world]\naxis = [1, 0, 0]\ndegrees = 90\nscale = 10\noffset = [100, 200, -50]\n"
+    text = f"states_up = {str(states).lower()}\n" + LAYOUT + world
+    folder = layouts(tmp_path / "layouts", text)
+    moved = CompositeDataset(tmp_path / "made", splats, folder, "elsewhere").load("pair")
+    assert moved.scene.dataset == "elsewhere"
+    if states:
+        np.testing.assert_allclose(moved.scene.up_direction, (0, -1, 0), atol=1e-9)
+    else:
+        assert moved.scene.up is None
+        assert '"up": null' in (tmp_path / "made/pair/scene.json").read_text()
+    for one, other in zip(data.scene.views, moved.scene.views, strict=True):
+        difference = read_image(one.image).astype(int) - read_image(other.image)
+        assert np.abs(difference).max() <= 2
+    assert moved.scene.gaussians.means.mean(axis=0)[0] > 90
 
 
 RACE = """
@@ -278,16 +224,3 @@ def test_bundled_scenes_of_real_splats(
         # partly covered: each thing is, in some view, and yet none is lost in most of them
         assert unhidden.max() < 0.95
         assert (np.array(shares) > 0.5).mean() > 0.8
-
-
-def test_a_real_splat_stands_upright(shared: Path) -> None:
-    path = LAYOUTS / "open.toml"
-    item = read_layout(path).objects[0]
-    guitar = place(read_splat(shared / "data/splats" / item.file), item, path)
-    z = guitar.means[:, 2]
-    lower, upper = guitar.means[z < 0.4], guitar.means[z > 0.7]
-    # the body is below, and wider than the neck
-    assert np.ptp(np.percentile(lower[:, 0], [5, 95])) > 2 * np.ptp(
-        np.percentile(upper[:, 0], [5, 95])
-    )
-    assert len(lower) > len(upper)

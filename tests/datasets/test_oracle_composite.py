@@ -15,13 +15,13 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from numpy.typing import NDArray
-from gvr_core.models.oracle import OracleWorld, oracle_models
 
 from datasets.base import SceneData
 from datasets.registry import get_dataset
 from gvr_core.gaussians import Gaussians
 from gvr_core.methods import MethodConfig, Toolbox, build_method
 from gvr_core.metrics import flags_3d
+from gvr_core.models.oracle import OracleWorld, oracle_models
 from gvr_core.rendering import get_renderer
 from gvr_core.segment import VirtualView, frustum_filter
 

@@ -54,10 +54,11 @@ def test_seeds_that_are_none_are_refused(seeds: object) -> None:
         get_dataset("gallery", {"seeds": seeds})
 
 
+@pytest.mark.parametrize("name", ["composite", "stress"])
 @pytest.mark.parametrize("splats", [3, "", ["a"]])
-def test_a_folder_of_splats_that_is_none_is_refused(splats: object) -> None:
-    with pytest.raises(ConfigError, match=r"composite\.settings\.splats"):
-        get_dataset("composite", {"splats": splats})
+def test_a_folder_of_splats_that_is_none_is_refused(name: str, splats: object) -> None:
+    with pytest.raises(ConfigError, match=rf"{name}\.settings\.splats"):
+        get_dataset(name, {"splats": splats})
 
 
 def test_an_unknown_setting_lists_the_known_ones() -> None:
@@ -75,3 +76,18 @@ def test_composites_need_their_splats(tmp_path: Path, monkeypatch: pytest.Monkey
     assert tuple(found.scenes()) == ("apart", "crowded", "open")
     with pytest.raises(DatasetError, match=r"\.(ply|splat): missing splat"):
         found.load("open")
+
+
+def test_stress_scenes_are_a_data_set_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GVR_DATA", str(tmp_path / "data"))
+    found = get_dataset("stress", {"splats": str(tmp_path)})
+    assert found.name == "stress" and len(found.scenes()) == 10 and "ceiling" in found.scenes()
+    assert not set(found.scenes()) & set(
+        get_dataset("composite", {"splats": str(tmp_path)}).scenes()
+    )
+    with pytest.raises(ConfigError, match="unknown scene of stress 'open'"):
+        found.load("open")
+    with pytest.raises(DatasetError, match=r"plant\.splat: missing splat"):
+        found.load("ceiling")
