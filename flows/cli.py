@@ -14,6 +14,7 @@ from flows import commands
 from flows.places import results_root, store_root
 from flows.suite import DEFAULT_SUITE
 from gvr_core.errors import GVRError, InputError
+from gvr_core.methods import METHODS
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -37,10 +38,17 @@ QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress ba
 @app.command()
 def run(
     suite: Annotated[
-        str, typer.Argument(help="A bundled suite (bench, composite, ablation) or a .toml file.")
+        str,
+        typer.Argument(
+            help="A bundled suite (bench, composite, ablation, stress) or a .toml file."
+        ),
     ] = DEFAULT_SUITE,
     method: Annotated[
         list[str] | None, typer.Option(help="Only this method; may be given more than once.")
+    ] = None,
+    models: Annotated[
+        list[str] | None,
+        typer.Option(help="Only these models (oracle, onboard, or the suite's own labels)."),
     ] = None,
     dataset: Annotated[
         list[str] | None, typer.Option(help="Only this data set; may be given more than once.")
@@ -73,6 +81,7 @@ def run(
         results or results_root(),
         None if no_mlflow else commands.tracking_uri(tracking_uri),
         progress=not quiet,
+        models=models or [],
     )
     raise typer.Exit(code)
 
@@ -82,22 +91,38 @@ def ground(
     splat: Annotated[Path, typer.Argument(help="The scene: a .ply or .splat file.")],
     cameras: Annotated[Path, typer.Option(help="A cameras.json, or a folder with a COLMAP model.")],
     query: Annotated[list[str], typer.Option(help="What to find; may be given more than once.")],
-    method: Annotated[str, typer.Option(help="The grounding method.")] = "gvr-paper",
-    out: Annotated[
-        Path, typer.Option(help="Folder for flags (.npy), target (.ply) and picture (.png).")
-    ] = Path("grounded"),
+    method: Annotated[str, typer.Option(help=f"One of {', '.join(METHODS)}.")] = "gvr-paper",
+    export: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What to write as PLY: target (alone; the default), without (the scene without "
+            "it) or dyed (the scene with it dyed); may be given more than once."
+        ),
+    ] = None,
+    dye: Annotated[
+        str | None, typer.Option(help="Colour of --export dyed, such as #00ff00; red if left out.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the files.")] = Path("grounded"),
     max_views: Annotated[
         int | None, typer.Option(help="Use only so many cameras, evenly spaced.")
     ] = None,
     store: StoreOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Ground text in one scene of your own: which Gaussians are the thing you name?"""
+    """Ground text in one scene of your own: which Gaussians are the thing you name?
+
+    The first query's files are q0.target.ply, q0.without.ply and q0.dyed.ply (those that
+    --export asks for, and only where something is found), q0.indices.npy (the target's rows in
+    the splat file, counted from 0) and q0.png (a picture); the second's begin with q1.
+    answers.json sums all up. A PLY scene keeps its rows to the last bit, with every column.
+    """
     commands.ground(
         splat,
         cameras,
         query,
         method,
+        export or ["target"],
+        dye,
         out,
         max_views,
         store or store_root(),
@@ -114,9 +139,16 @@ def show(
     sheet: Annotated[
         Path | None, typer.Option(help="Also write the pictures side by side into this .png.")
     ] = None,
+    into: Annotated[
+        Path | None,
+        typer.Option(
+            help="Put the Markdown tables into this file, between the lines <!-- SUITE --> and "
+            "<!-- /SUITE -->, SUITE being the suite's name."
+        ),
+    ] = None,
 ) -> None:
     """Print the tables of a result again."""
-    commands.show(result, results_root(), markdown, sheet)
+    commands.show(result, results_root(), markdown, sheet, into)
 
 
 @app.command()

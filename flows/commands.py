@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console, RenderableType
+from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from datasets.own import own_scene
 from flows.places import home
 from flows.suite import override, read_suite, resolve_scenes
 from gvr_core.atomic import atomic_write
-from gvr_core.errors import unknown_name
+from gvr_core.errors import ConfigError, unknown_name
+from gvr_core.exports import EXPORTS, RED, parse_colour
 from gvr_core.methods import check_method
 from reports import tables
+from reports.document import replace_block
 from reports.mlflow_store import SyncError, default_tracking_uri
 from reports.pictures import contact_sheet
 from reports.record import Result, Row
@@ -43,13 +46,14 @@ def run(
     results: Path,
     mlflow: str | None,
     progress: bool,
+    models: Sequence[str] = (),
 ) -> int:
     """``gvr run``: run a suite, print its tables, fill MLflow.
 
     Returns:
         Exit code: 0; 1 where a scene failed; 2 where it failed for something the user gave.
     """
-    suite = override(read_suite(suite_name), methods, datasets, scenes, limit)
+    suite = override(read_suite(suite_name), methods, datasets, scenes, limit, models)
     resolve_scenes(suite.datasets)
 
     from flows.benchmark import run_benchmark
@@ -70,14 +74,7 @@ def run(
 
 def print_tables(result: Result, rows: Sequence[Row]) -> None:
     """The tables of a result, for a terminal."""
-    parts: list[RenderableType] = [
-        tables.headline(result, rows),
-        tables.timing(result),
-        tables.refusals(result, rows),
-        tables.stages(result),
-    ]
-    for part in parts:
-        console.print(part)
+    console.print(tables.overview(result, rows))
 
 
 def ground(
@@ -85,29 +82,48 @@ def ground(
     cameras: Path,
     texts: Sequence[str],
     method: str,
+    exports: Sequence[str],
+    dye: str | None,
     out: Path,
     max_views: int | None,
     store: Path,
     progress: bool,
 ) -> None:
-    """``gvr ground``: one scene of one's own."""
-    data = own_scene(splat, cameras, texts, max_views)
-    check_method(method)
+    """``gvr ground``: one scene of one's own.
 
-    from flows.own import ground_own
+    Raises:
+        ConfigError: for a method, export, colour or folder that cannot be used; nothing is
+            computed then.
+    """
+    check_method(method)
+    for kind in exports:
+        if kind not in EXPORTS:
+            raise unknown_name("export", kind, EXPORTS)
+    if dye is not None and "dyed" not in exports:
+        raise ConfigError("--dye colours nothing here", accepted="--dye with --export dyed")
+    rgb = RED if dye is None else parse_colour(dye)
+    data = own_scene(splat, cameras, texts, max_views)
+
+    from flows.own import check_out, ground_own
     from tasks.prefect_runtime import prefect_runtime
 
+    check_out(data, splat, out, exports)
     with prefect_runtime(Store(store), home=home() / "prefect"):
-        answers = ground_own(data, method, out, store, progress)
+        answers = ground_own(data, splat, method, out, store, exports, rgb, progress)
     table = Table("query", "found", "Gaussians", "location", "files", box=None)
     for answer in answers:
         place = "-" if answer.location is None else " ".join(f"{x:.3g}" for x in answer.location)
-        files = "  ".join(path.name for path in answer.files)
-        table.add_row(
-            answer.text, "yes" if answer.found else "no", str(answer.n_flagged), place, files
-        )
+        found = "yes" if answer.found else "no"
+        files = "  ".join(answer.files.values())
+        table.add_row(Text(answer.text), found, str(answer.count), place, files)
     console.print(table)
-    console.print(f"Files in {out}", soft_wrap=True, highlight=False)
+    for answer in answers:
+        missing = [kind for kind in dict.fromkeys(exports) if kind not in answer.files]
+        if missing:
+            why = "it is the whole scene" if answer.found and answer.count else "nothing was found"
+            line = f"{answer.text}: {why}, so there is no PLY for: {', '.join(missing)}"
+            console.print(Text(line), soft_wrap=True)
+    console.print(f"Files in {out}", soft_wrap=True, highlight=False, markup=False)
 
 
 def find_result(name: str, root: Path) -> Path:
@@ -125,11 +141,16 @@ def find_result(name: str, root: Path) -> Path:
     return matches[0]
 
 
-def show(name: str, root: Path, markdown: bool, sheet: Path | None = None) -> None:
-    """``gvr show``: the tables of a result again, and a sheet of its pictures."""
+def show(
+    name: str, root: Path, markdown: bool, sheet: Path | None = None, into: Path | None = None
+) -> None:
+    """``gvr show``: the tables of a result again, in a document too, and a sheet of pictures."""
     folder = find_result(name, root)
     result, rows = read_result(folder)
-    if markdown:
+    if into is not None:
+        replace_block(into, result.suite, tables.readme_block(result, rows))
+        console.print(f"{into}: <!-- {result.suite} -->", markup=False, highlight=False)
+    elif markdown:
         print(tables.readme_block(result, rows))
     else:
         print_tables(result, rows)

@@ -12,6 +12,8 @@ Elements other than the vertices are left out: faces and the like count rows tha
 from __future__ import annotations
 
 import re
+from collections.abc import Generator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -154,21 +156,35 @@ def _copy_rows(
     path: Path, source: Path, flags: BoolArray, keep: BoolArray, rgb: RGB | None
 ) -> None:
     """Rows of a PLY file as they are, a block at a time: no second copy of a scene in memory."""
+    with closing(_parts(source, flags, keep, rgb)) as parts:
+        header = next(parts)  # what cannot be used is refused before a file is begun
+        with atomic_write(path) as stream:
+            stream.write(header)
+            stream.writelines(parts)
+
+
+def _parts(
+    source: Path, flags: BoolArray, keep: BoolArray, rgb: RGB | None
+) -> Generator[bytes, None, None]:
+    """The header of an export, then its rows.
+
+    A generator, for errors in writing to be told from those in reading: the former do not pass
+    through here, where they would be blamed on the source.
+    """
     with open_splat(source) as (stream, size):
         table = read_vertex_table(stream, size, source)
         sh_count(table, source)  # refuses what is no set of Gaussians, such as a compressed PLY
         _check(flags, keep, table.count, source)
         dtype = table.dtype.newbyteorder("<")
-        with atomic_write(path) as out:
-            out.write(_header(table, dtype, int(keep.sum())))
-            first = 0
-            for block in vertex_blocks(stream, table, source):
-                rows = slice(first, first + len(block))
-                kept = block[keep[rows]].astype(dtype)
-                if rgb is not None:
-                    _dye(kept, flags[rows][keep[rows]], rgb)
-                out.write(kept.tobytes())
-                first += len(block)
+        yield _header(table, dtype, int(keep.sum()))
+        first = 0
+        for block in vertex_blocks(stream, table, source):
+            rows = slice(first, first + len(block))
+            kept = block[keep[rows]].astype(dtype)
+            if rgb is not None:
+                _dye(kept, flags[rows][keep[rows]], rgb)
+            yield kept.tobytes()
+            first += len(block)
 
 
 def _header(table: VertexTable, dtype: np.dtype[Any], count: int) -> bytes:

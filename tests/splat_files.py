@@ -6,10 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.lib import recfunctions
 from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement
 
 from gvr_core.gaussians import SH_COUNTS, Gaussians
+
+STANDARD = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+SHAPE = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
 
 FIELDS = ("means", "scales", "quats", "opacities", "sh")
 
@@ -43,3 +47,27 @@ def save_vertex(
         [*others, PlyElement.describe(vertex, "vertex")], text=text, byte_order=byte_order
     ).write(path)
     return path
+
+
+def columns(degree: int) -> list[str]:
+    return [*STANDARD, *(f"f_rest_{i}" for i in range(3 * (SH_COUNTS[degree] - 1))), *SHAPE]
+
+
+def as_trained(n: int, degree: int, seed: int = 0) -> NDArray:
+    """Vertices as an optimiser leaves them: quaternions of any length, large logits, normals."""
+    rng = np.random.default_rng(seed)
+    vertex = np.empty(n, [(name, "<f4") for name in columns(degree)])
+    for name in columns(degree):
+        vertex[name] = rng.normal(scale=8 if name == "opacity" else 1, size=n)
+    return vertex
+
+
+def some_flags(n: int, seed: int = 0) -> NDArray[np.bool_]:
+    flags = np.random.default_rng(seed).random(n) < 0.4
+    flags[:2] = True, False
+    return flags
+
+
+def bits(rows: NDArray) -> bytes:
+    """Packed rows, for a comparison that tells -0 from 0 and knows NaN."""
+    return recfunctions.repack_fields(rows).tobytes()

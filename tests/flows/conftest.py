@@ -6,13 +6,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from oracle_models import OracleWorld, oracle_models
 from small_scene import OBJECTS, UP, two_boxes
 
 from datasets.making import take_pictures
 from datasets.native_writer import write_scene
+from flows.cli import main
 from flows.suite import DatasetChoice, SuiteConfig
 from gvr_core.methods import MethodConfig
+from gvr_core.models.oracle import OracleWorld, oracle_models
+from gvr_core.models.registry import ModelConfig
 from gvr_core.rendering import get_renderer
 from gvr_core.scene import Query
 
@@ -51,18 +53,47 @@ def two_boxes_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def suite(two_boxes_folder: Path) -> SuiteConfig:
-    """The paper's method on the small scene."""
+    """The paper's method on the small scene, with models that know its truth."""
     return SuiteConfig(
         name="small",
         datasets=(DatasetChoice(name=f"folder:{two_boxes_folder}"),),
         methods=(MethodConfig(),),
+        models=ModelConfig(segmenter="oracle", encoder="oracle", text_segmenter="oracle"),
     )
 
 
 @pytest.fixture
 def oracles(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Test doubles: the flows get models that know the truth of the small scene."""
+    """Test double: whatever models are asked for, they know the truth of the small scene.
+
+    For scenes of one's own, which say nothing of their truth.
+    """
     scene, labels = two_boxes()
-    world = OracleWorld(scene.gaussians, labels, OBJECTS, MEANINGS)
-    monkeypatch.setattr("flows.scene.build_models", lambda config: oracle_models(world))
+    known = OracleWorld(scene.gaussians, labels, OBJECTS, MEANINGS)
+    monkeypatch.setattr("flows.scene.build_models", lambda config, world: oracle_models(known))
     yield
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Store, results and tracking of this test alone."""
+    for variable in ("GVR_STORE", "GVR_RESULTS", "GVR_DATA", "MLFLOW_TRACKING_URI"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setenv("GVR_HOME", str(tmp_path / "home"))
+    return tmp_path / "home"
+
+
+@pytest.fixture
+def gvr(capsys: pytest.CaptureFixture[str]):
+    """Run the command line; returns exit code, standard output, standard error."""
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        code = 0
+        try:
+            main([*arguments])
+        except SystemExit as exit_:
+            code = exit_.code if isinstance(exit_.code, int) else 1
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call

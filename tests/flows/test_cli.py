@@ -15,45 +15,19 @@ import numpy as np
 import psutil
 import pytest
 from mlflow import MlflowClient
-from small_scene import two_boxes
 
-from datasets.inria_cameras import write_inria_cameras
-from flows.cli import main
-from gvr_core.splat_io import read_ply, write_ply
 from tasks.prefect_runtime import PrefectRuntime
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PLY = "point_cloud/iteration_30000/point_cloud.ply"
 
 
-@pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Store, results and tracking of this test alone."""
-    for variable in ("GVR_STORE", "GVR_RESULTS", "GVR_DATA", "MLFLOW_TRACKING_URI"):
-        monkeypatch.delenv(variable, raising=False)
-    monkeypatch.setenv("GVR_HOME", str(tmp_path / "home"))
-    return tmp_path / "home"
-
-
-@pytest.fixture
-def gvr(capsys: pytest.CaptureFixture[str]):
-    """Run the command line; returns exit code, standard output, standard error."""
-
-    def call(*arguments: str) -> tuple[int, str, str]:
-        code = 0
-        try:
-            main([*arguments])
-        except SystemExit as exit_:
-            code = exit_.code if isinstance(exit_.code, int) else 1
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
-
-
 def suite_file(tmp_path: Path, folder: Path) -> Path:
     path = tmp_path / "small.toml"
-    path.write_text(f'name = "small"\n[[datasets]]\nname = "folder:{folder}"\n')
+    path.write_text(
+        f'name = "small"\n[[datasets]]\nname = "folder:{folder}"\n'
+        '[models]\nsegmenter = "oracle"\nencoder = "oracle"\ntext_segmenter = "oracle"\n'
+    )
     return path
 
 
@@ -64,7 +38,7 @@ def stored_files(home: Path) -> list[Path]:
 
 
 def test_run_prints_tables_writes_a_result_and_fills_mlflow(
-    gvr, home, tmp_path, two_boxes_folder, oracles, prefect_server: PrefectRuntime
+    gvr, home, tmp_path, two_boxes_folder, prefect_server: PrefectRuntime
 ) -> None:
     uri = f"sqlite:///{tmp_path / 'mlflow.db'}"
     suite = str(suite_file(tmp_path, two_boxes_folder))
@@ -181,7 +155,7 @@ def corrupt_queries(scene: Path) -> None:
     ids=lambda value: getattr(value, "__name__", None),
 )
 def test_a_broken_scene_exits_with_2_and_leaves_nothing_behind(
-    gvr, home, tmp_path, two_boxes_folder, oracles, prefect_server, corrupt, expected
+    gvr, home, tmp_path, two_boxes_folder, prefect_server, corrupt, expected
 ) -> None:
     mine = tmp_path / "mine"
     shutil.copytree(two_boxes_folder, mine)
@@ -197,54 +171,6 @@ def test_a_broken_scene_exits_with_2_and_leaves_nothing_behind(
     (folder,) = (home / "results").iterdir()
     (scene,) = json.loads((folder / "result.json").read_text())["scenes"]
     assert scene["status"] == "failed"
-
-
-def test_ground_answers_in_a_scene_of_ones_own(
-    gvr, home, tmp_path, oracles, prefect_server
-) -> None:
-    scene, labels = two_boxes()
-    splat, cameras = tmp_path / "boxes.ply", tmp_path / "cameras.json"
-    write_ply(splat, scene.gaussians)
-    write_inria_cameras(cameras, [(view.name, view.camera) for view in scene.views])
-    out = tmp_path / "out"
-    code, shown, err = gvr(
-        *("ground", str(splat), "--cameras", str(cameras), "--query", "a red box"),
-        *("--query", "an elephant", "--out", str(out), "--quiet"),
-    )
-    assert code == 0, err
-    assert "a red box" in shown
-    flags = np.load(out / "q0.npy", allow_pickle=False)
-    assert flags.shape == (len(scene.gaussians),)
-    truth = labels == 0
-    assert (flags & truth).sum() / (flags | truth).sum() >= 0.75
-    assert len(read_ply(out / "q0.ply")) == flags.sum()
-    assert (out / "q0.png").read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize(
-    ("change", "expected"),
-    [
-        ({"--cameras": "none.json"}, "none.json"),
-        ({"--method": "gvr"}, "gvr-paper"),
-        ({"--query": " "}, "1 to 400"),
-        ({"--max-views": "0"}, "1 or more"),
-    ],
-    ids=str,
-)
-def test_ground_refuses_what_it_cannot_use(
-    gvr, home, tmp_path, oracles, prefect_server, change, expected
-) -> None:
-    scene, _ = two_boxes()
-    splat, cameras = tmp_path / "boxes.ply", tmp_path / "cameras.json"
-    write_ply(splat, scene.gaussians)
-    write_inria_cameras(cameras, [(view.name, view.camera) for view in scene.views])
-    out = tmp_path / "out"
-    options = {"--cameras": str(cameras), "--query": "a red box", "--out": str(out)} | change
-    code, _, err = gvr("ground", str(splat), *(part for pair in options.items() for part in pair))
-    assert code == 2
-    assert expected in err
-    assert not out.exists()
-    assert not stored_files(home)
 
 
 def test_a_terminated_run_takes_its_server_with_it(home, tmp_path, two_boxes_folder) -> None:

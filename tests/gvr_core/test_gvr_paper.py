@@ -6,13 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from gvr_core.models.oracle import OracleTextSegmenter, OracleWorld, oracle_models
 from small_scene import OBJECTS, two_boxes
 
 from gvr_core.methods import MethodConfig, Toolbox, build_method
 from gvr_core.methods.gvr_paper import LocateConfig, SegmentConfig
 from gvr_core.metrics import flags_3d
 from gvr_core.models.base import Frame, Mask
+from gvr_core.models.oracle import OracleTextSegmenter, OracleWorld, oracle_models
 from gvr_core.rendering import get_renderer
 from gvr_core.scene import Query
 
