@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 
 from gvr_core.books import Books
 from gvr_core.cameras import up_vector
-from gvr_core.localize import Localization, relevancy
+from gvr_core.localize import Localization
 from gvr_core.methods.base import Clock, Grounding, Toolbox, nothing_found, prepare_books
 from gvr_core.methods.robust_config import NEGATIVES, RobustConfig
+from gvr_core.robust.calibration import calibration_of
 from gvr_core.robust.floaters import steady
 from gvr_core.robust.ground_plane import ground_up
 from gvr_core.robust.locating import find_places
-from gvr_core.robust.relevancy import relevancy as relevancy_with_negatives
+from gvr_core.robust.relevancy import contrast, relevancy
 from gvr_core.robust.segmenting import Segmented, Workplace, segment_area, segment_thing
 from gvr_core.scene import Query, Scene
 
@@ -72,13 +73,15 @@ class GVRRobust:
         """(B) Every place at which the views agree; none where the object is not here."""
         encoder, features = self.tools.models.encoder, books.semantics.features
         text, *negatives = encoder.encode_texts([query.text, *NEGATIVES])
-        if self.config.canonical_negatives:
-            scores = relevancy_with_negatives(
-                features, text, np.stack(negatives), self.config.temperature
-            )
+        calibration, config = calibration_of(encoder.name), self.config
+        if config.canonical_negatives and calibration.phrases:
+            scores = relevancy(features, text, np.stack(negatives), config.temperature)
         else:
-            scores = relevancy(features, text)
-        return find_places(books, scene.views, scores, self.config)
+            scores = contrast(features, text, config.temperature)
+        least = config.refuse_below
+        if least is None:
+            least = calibration.refuse_below
+        return find_places(books, scene.views, scores, config, least)
 
     def segment(
         self, scene: Scene, books: Books, localization: Localization | None, query: Query

@@ -29,7 +29,8 @@ class RobustLocate(_Part):
     """(B) Retrieval for localising."""
 
     canonical_negatives: bool = True
-    """Relevancy against canonical phrases; off: the plain cosine."""
+    """Relevancy against canonical phrases, where the encoder's space has a use for them; off:
+    against the scene's typical patch."""
     multi_level_masks: bool = True
     """Patches of every granularity; off: the coarsest of each view."""
     several_patches: bool = True
@@ -49,10 +50,10 @@ class RobustLocate(_Part):
     gate: float = Field(default=0.5, ge=0, lt=1)
     """A patch is a candidate where its relevancy is above this: where it is more like the query
     than like every canonical phrase."""
-    cosine_gate: float = Field(default=0.9, gt=0, le=1)
-    """Without canonical phrases: a candidate's cosine is at least this part of the best one."""
-    refuse_below: float = Field(default=0.5, ge=0, le=1)
-    """Least confidence to answer."""
+    gate_share: float = Field(default=0.5, ge=0, le=1)
+    """And where it rises above 0.5 by this part of what the scene's best patch does, at least."""
+    refuse_below: float | None = Field(default=None, ge=0, le=1)
+    """Least confidence to answer; None for what was calibrated for the encoder."""
     min_views: int = Field(default=2, ge=1)
     """Least number of views that must agree."""
     cluster_radii: float = Field(default=1.0, gt=0)

@@ -18,6 +18,8 @@ Float64Array = NDArray[np.float64]
 
 UNSEEN = 1e-3
 """A Gaussian with less weight than this in a view, in pixels, is not seen by it."""
+LEAKED = 0.05
+"""Part of the typical weight below which a Gaussian only shines through a surface."""
 
 
 def mask_weights(
@@ -106,8 +108,15 @@ class Ballot:
 
     @property
     def seen(self) -> BoolArray:
-        """(N,) whether any view has a say on the Gaussian."""
-        return self.inside + self.outside > UNSEEN
+        """(N,) whether the views have a say on the Gaussian.
+
+        A surface lets a little light through, so what lies behind it has some weight left in
+        every view, and always inside of the mask. That is no sight of it: a Gaussian counts as
+        seen with a twentieth of the weight that the target's own Gaussians typically have.
+        """
+        total = self.inside + self.outside
+        own = total[(total > UNSEEN) & (self.inside > self.outside)]
+        return total > max(UNSEEN, LEAKED * float(np.median(own)) if len(own) else 0.0)
 
     @property
     def share(self) -> FloatArray:

@@ -75,12 +75,11 @@ def gated_patches(
             inside = inside[patches.levels[inside] == patches.levels[inside].max()]
         inside = inside[scores[inside] > threshold]
         steps = np.floor(scores[inside] / TIE_MARGIN)
-        taken: list[BoolArray] = []
+        taken: list[int] = []
         for j in inside[np.lexsort((inside, -patches.areas[inside], -steps))]:
-            pixels = patches.pixels(int(j))
-            if not any(_overlap(pixels, other) > OVERLAP for other in taken):
-                taken.append(pixels)
-                chosen.append(int(j))
+            if not any(_same_thing(patches, int(j), other) for other in taken):
+                taken.append(int(j))
+        chosen += taken
     return chosen
 
 
@@ -168,6 +167,13 @@ def _by_position(
     return Candidate(view, patch, relevancy, (x, y), point[None], point, radius)
 
 
-def _overlap(a: BoolArray, b: BoolArray) -> float:
-    smaller = min(np.count_nonzero(a), np.count_nonzero(b))
-    return float(np.count_nonzero(a & b) / smaller) if smaller else 0.0
+def _same_thing(patches: PatchBook, a: int, b: int) -> bool:
+    """Whether two patches of a view overlap so much that they are the same thing."""
+    smaller = float(min(patches.areas[a], patches.areas[b]))
+    low = np.maximum(patches.boxes[a][:2], patches.boxes[b][:2])
+    high = np.minimum(patches.boxes[a][2:], patches.boxes[b][2:])
+    # what the boxes share bounds what the patches share, and costs no decoding
+    if np.maximum(high - low, 0).prod() <= OVERLAP * smaller:
+        return False
+    shared = np.count_nonzero(patches.pixels(a) & patches.pixels(b))
+    return bool(shared > OVERLAP * smaller)

@@ -21,9 +21,16 @@ from gvr_core.scene import View
 
 FloatArray = NDArray[np.float32]
 
+CONFIDENCE_SHARE = 0.1
+"""The part of all views whose word the confidence is made of."""
+
 
 def find_places(
-    books: Books, views: Sequence[View], scores: FloatArray, config: RobustLocate
+    books: Books,
+    views: Sequence[View],
+    scores: FloatArray,
+    config: RobustLocate,
+    refuse_below: float,
 ) -> Localization:
     """Where the object is: every instance of it, or nowhere.
 
@@ -32,6 +39,7 @@ def find_places(
         views: The knowledge views.
         scores: (M,) how much every patch is like the query.
         config: The switches.
+        refuse_below: Least confidence to answer.
 
     Returns:
         The places, strongest first; none where the evidence is too thin, the confidence says how
@@ -55,9 +63,9 @@ def find_places(
     else:
         labels, places, reach = _things(candidates, retrieval, views, config)
         is_stuff = False
-    sureness = _confidence(candidates, labels)
+    sureness = _confidence(candidates, labels, len(views))
     n_views = len({c.view for c, own in zip(candidates, labels, strict=True) if own == 0})
-    if config.refusal and (sureness < config.refuse_below or n_views < config.min_views):
+    if config.refusal and (sureness < refuse_below or n_views < config.min_views):
         places, labels = (), np.full(len(candidates), -1, np.int64)
     return Localization(retrieval, labels, places, reach, sureness, is_stuff)
 
@@ -66,9 +74,8 @@ def _chosen_patches(books: Books, scores: FloatArray, config: RobustLocate) -> l
     patches, coarsest = books.semantics.patches, not config.multi_level_masks
     if not config.several_patches:
         return best_of_each_view(scores, patches, coarsest)
-    gate = config.gate
-    if not config.canonical_negatives:
-        gate = config.cosine_gate * float(scores.max(initial=0.0)) - 1e-6
+    best = float(scores.max(initial=0.0))
+    gate = max(config.gate, 0.5 + config.gate_share * (best - 0.5))
     chosen = gated_patches(scores, patches, gate, coarsest)
     if not chosen and not config.refusal:
         return best_of_each_view(scores, patches, coarsest)
@@ -110,13 +117,18 @@ def _is_stuff(candidates: Sequence[Candidate], books: Books, share: float) -> bo
     return float(np.median(parts)) > share
 
 
-def _confidence(candidates: Sequence[Candidate], labels: NDArray[np.int64]) -> float:
-    """Mean over views of the best relevancy that speaks for the first place."""
+def _confidence(candidates: Sequence[Candidate], labels: NDArray[np.int64], n: int) -> float:
+    """Mean relevancy of the views that speak for the first place, the best tenth of all views.
+
+    An object may be in sight of few cameras only, so most views' silence says nothing; a single
+    view's word is not enough, so at least two are asked for.
+    """
     best: dict[int, float] = {}
     for candidate, own in zip(candidates, labels, strict=True):
         if own == 0:
             best[candidate.view] = max(best.get(candidate.view, 0.0), candidate.relevancy)
-    return float(np.mean(list(best.values()))) if best else 0.0
+    asked = max(2, round(CONFIDENCE_SHARE * n))
+    return sum(sorted(best.values(), reverse=True)[:asked]) / asked
 
 
 def _retrieval(candidates: Sequence[Candidate]) -> Retrieval:

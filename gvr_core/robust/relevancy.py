@@ -26,6 +26,28 @@ def relevancy(
     Returns:
         (M,) in (0, 1).
     """
-    margin = features @ text - (features @ negatives.T).max(axis=1)
+    return _softmax(features @ text - (features @ negatives.T).max(axis=1), temperature)
+
+
+def contrast(features: FloatArray, text: FloatArray, temperature: float) -> FloatArray:
+    """Relevancy without canonical phrases: a patch against the scene's typical one.
+
+    The softmax between a patch's cosine with the query and the median cosine of all patches:
+    some queries are a little like everything, and that says nothing about any patch.
+
+    Args:
+        features: (M, c) unit vectors.
+        text: (c,) unit vector of the query.
+        temperature: t.
+
+    Returns:
+        (M,) in (0, 1).
+    """
+    cosines = features @ text
+    typical = np.float32(np.median(cosines)) if len(cosines) else np.float32(0)
+    return _softmax(cosines - typical, temperature)
+
+
+def _softmax(margin: FloatArray, temperature: float) -> FloatArray:
     scores: FloatArray = (1 / (1 + np.exp(-np.float32(temperature) * margin))).astype(np.float32)
     return scores
