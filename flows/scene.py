@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 from dataclasses import dataclass, field
 from functools import partial
@@ -12,11 +13,13 @@ from prefect import flow
 
 from datasets.base import SceneData
 from datasets.registry import get_dataset
+from flows.lines import Line, file_name
 from flows.progress import Progress
 from flows.suite import DatasetChoice, SuiteConfig
 from gvr_core.errors import GVRError, InputError
 from gvr_core.methods import MethodConfig, Toolbox, check_method
-from gvr_core.models.registry import ModelConfig, build_models
+from gvr_core.models.oracle import OracleWorld
+from gvr_core.models.registry import ModelConfig, build_models, needs_world
 from gvr_core.rendering import get_renderer
 from gvr_core.scene import Query
 from reports.record import QueryOutcome, Row, SceneResult, StageTiming
@@ -30,7 +33,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class SceneOutcome:
-    """What one method on one scene gave: its result, its rows, and its pictures in the store."""
+    """What one line on one scene gave: its result, its rows, and its pictures in the store."""
 
     result: SceneResult
     rows: tuple[Row, ...] = ()
@@ -48,6 +51,7 @@ def make_job(
     renderer: str = "numba",
     limit: int | None = None,
     progress: Progress | None = None,
+    name: str = "",
 ) -> SceneJob:
     """One method on one scene, with its models and renderer.
 
@@ -59,29 +63,50 @@ def make_job(
         renderer: Name of the renderer.
         limit: Only the first so many queries; None for all.
         progress: Shows progress bars; None shows none.
+        name: Stands beside the bars; the method's own name where empty.
 
     Raises:
-        ConfigError: for a method, model or renderer that is not known.
+        ConfigError: for a method, model or renderer that is not known, or oracle models on a
+            scene whose Gaussians are not labelled.
         ModelError: for weights that are missing or wrong.
     """
     check_method(method.method)
     models = models or ModelConfig()
     if method.encoder_override:
         models = models.model_copy(update={"encoder": method.encoder_override})
-    tools = Toolbox(get_renderer(renderer), build_models(models))
-    label = f"{data.scene.dataset}/{data.scene.name} · {method.shown_name}"
+    world = oracle_world(data, renderer) if needs_world(models) else None
+    tools = Toolbox(get_renderer(renderer), build_models(models, world))
+    label = f"{data.scene.dataset}/{data.scene.name} · {name or method.shown_name}"
     bars = progress or Progress(shown=False)
     track = partial(bars.track, label=label)
     return SceneJob(store, data, data.queries[:limit], method, tools, track)
+
+
+def oracle_world(data: SceneData, renderer: str = "numba") -> OracleWorld | None:
+    """The truth of a scene for models that know it; None where its Gaussians are not labelled.
+
+    Args:
+        data: The scene.
+        renderer: Name of the renderer that draws the truth.
+    """
+    truth = data.truth
+    if truth.labels is None:
+        return None
+    meanings = {query.text: query.target for query in data.queries if query.target is not None}
+    parts = [f"{part}:{data.digests[part]}" for part in ("gaussians", "truth", "queries")]
+    digest = hashlib.sha256(" ".join(parts).encode()).hexdigest()
+    return OracleWorld(
+        data.scene.gaussians, truth.labels, truth.objects, meanings, digest, renderer
+    )
 
 
 @flow(name="scene", flow_run_name="{dataset}/{scene}", validate_parameters=False)
 def scene_flow(
     suite: dict[str, Any], dataset: str, scene: str, store: str, progress: bool = False
 ) -> list[SceneOutcome]:
-    """All methods of a suite on one scene.
+    """All lines of a suite on one scene.
 
-    A method that fails is reported as failed, and the others go on.
+    A line that fails is reported as failed, and the others go on.
 
     Args:
         suite: The suite's configuration as JSON values.
@@ -96,8 +121,8 @@ def scene_flow(
         try:
             data = load_scene(choice, scene)
         except Exception as error:
-            return [_failed(dataset, scene, method, error) for method in config.methods]
-        return [run_method(data, config, method, Store(store), bars) for method in config.methods]
+            return [_failed(dataset, scene, line, error) for line in config.lines()]
+        return [run_line(data, config, line, Store(store), bars) for line in config.lines()]
 
 
 def load_scene(choice: DatasetChoice, scene: str) -> SceneData:
@@ -105,19 +130,19 @@ def load_scene(choice: DatasetChoice, scene: str) -> SceneData:
     return get_dataset(choice.name, choice.settings).load(scene)
 
 
-def run_method(
+def run_line(
     data: SceneData,
     suite: SuiteConfig,
-    method: MethodConfig,
+    line: Line,
     store: Store,
     progress: Progress | None = None,
 ) -> SceneOutcome:
-    """One method on one scene, from its stages to rows and timings.
+    """One line on one scene, from its stages to rows and timings.
 
     Args:
         data: The scene.
         suite: The benchmark's configuration.
-        method: The method.
+        line: The method and its models.
         store: Where results of stages lie.
         progress: Shows progress bars; None shows none.
 
@@ -125,28 +150,40 @@ def run_method(
         The outcome; a failure is an outcome too, with the error's text.
     """
     try:
-        job = make_job(data, method, store, suite.models, suite.renderer, suite.limit, progress)
+        job = make_job(
+            data,
+            line.method,
+            store,
+            line.models,
+            suite.renderer,
+            suite.limit,
+            progress,
+            line.name,
+        )
         runs = run_stages(job)
-        return _outcome(job, runs)
+        return _outcome(line, job, runs)
     except Exception as error:
-        return _failed(data.scene.dataset, data.scene.name, method, error)
+        return _failed(data.scene.dataset, data.scene.name, line, error)
 
 
-def _outcome(job: SceneJob, runs: dict[str, StageRun]) -> SceneOutcome:
-    scene, method = job.data.scene, job.method.shown_name
+def _outcome(line: Line, job: SceneJob, runs: dict[str, StageRun]) -> SceneOutcome:
+    scene = job.data.scene
     answers = unpack_answers(job.store.load_arrays(runs["segment"]["groundings"]))
     queries, pictures = [], {}
-    folder = f"pictures/{file_name(scene.dataset)}/{file_name(scene.name)}/{file_name(method)}"
+    names = (scene.dataset, scene.name, line.name)
+    folder = "/".join(("pictures", *map(file_name, names)))
     for query, answer in zip(job.queries, answers, strict=True):
-        path = f"{folder}/{query.id}.png"
-        pictures[path] = job.store.path(runs["evaluate"][f"picture.{query.id}"])
+        path = None
+        if not line.is_variant:  # dozens of nearly equal pictures of each query help nobody
+            path = f"{folder}/{query.id}.png"
+            pictures[path] = job.store.path(runs["evaluate"][f"picture.{query.id}"])
         queries.append(_query_outcome(query, answer, runs, path))
     known = {query.id: query for query in job.queries}
     rows = tuple(
         Row(
             dataset=scene.dataset,
             scene=scene.name,
-            method=method,
+            method=line.name,
             text=known[scored["query"]].text,
             target=known[scored["query"]].target,
             absent=known[scored["query"]].absent,
@@ -158,9 +195,7 @@ def _outcome(job: SceneJob, runs: dict[str, StageRun]) -> SceneOutcome:
     seconds = [sum(outcome.seconds.values()) for outcome in queries]
     camera = scene.views[0].camera
     result = SceneResult(
-        dataset=scene.dataset,
-        scene=scene.name,
-        method=method,
+        **_identity(scene.dataset, scene.name, line),
         status="completed",
         n_gaussians=len(scene.gaussians),
         n_views=len(scene.views),
@@ -182,7 +217,7 @@ def _outcome(job: SceneJob, runs: dict[str, StageRun]) -> SceneOutcome:
 
 
 def _query_outcome(
-    query: Query, answer: Answer, runs: dict[str, StageRun], picture: str
+    query: Query, answer: Answer, runs: dict[str, StageRun], picture: str | None
 ) -> QueryOutcome:
     locate: Any = runs["query"].record.detail["seconds"]
     segment: Any = runs["segment"].record.detail["seconds"]
@@ -210,17 +245,21 @@ def _timing(run: StageRun) -> StageTiming:
     )
 
 
-def _failed(dataset: str, scene: str, method: MethodConfig, error: Exception) -> SceneOutcome:
+def _identity(dataset: str, scene: str, line: Line) -> dict[str, Any]:
+    """Which scene and which line a result is of."""
+    return {
+        "dataset": dataset,
+        "scene": scene,
+        "method": line.name,
+        "label": line.label,
+        "model_set": line.model_set,
+        "reference": line.reference,
+    }
+
+
+def _failed(dataset: str, scene: str, line: Line, error: Exception) -> SceneOutcome:
     if not isinstance(error, GVRError):  # a mistake of ours, or a machine's: show where
-        log.error("%s/%s · %s failed", dataset, scene, method.shown_name, exc_info=error)
+        log.error("%s/%s · %s failed", dataset, scene, line.name, exc_info=error)
     text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-    result = SceneResult(
-        dataset=dataset, scene=scene, method=method.shown_name, status="failed", error=text
-    )
+    result = SceneResult(**_identity(dataset, scene, line), status="failed", error=text)
     return SceneOutcome(result, bad_input=isinstance(error, InputError))
-
-
-def file_name(name: str) -> str:
-    """A name with everything but letters, digits, dots and dashes replaced."""
-    safe = "".join(c if c.isalnum() or c in ".-" else "_" for c in name)
-    return safe.strip(".") or "_"

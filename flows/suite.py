@@ -8,11 +8,19 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from datasets.registry import check_dataset, get_dataset
+from flows.lines import BUNDLED, Line, ModelSet, make_lines
 from gvr_core.errors import ConfigError, unknown_name
-from gvr_core.methods import MethodConfig, check_method
+from gvr_core.methods import METHODS, MethodConfig, check_method, variants
 from gvr_core.models.registry import ModelConfig, check_models
 from gvr_core.rendering import get_renderer
 
@@ -40,12 +48,20 @@ class SuiteConfig(BaseModel):
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
     datasets: tuple[DatasetChoice, ...] = Field(min_length=1)
     methods: tuple[MethodConfig, ...] = Field(default=(MethodConfig(),), min_length=1)
-    models: ModelConfig = ModelConfig()
+    models: tuple[ModelSet, ...] = Field(default=(ModelSet(),), min_length=1)
+    """Every method runs with each of these; a single one may be given as a table."""
     renderer: str = "numba"
     limit: int | None = Field(default=None, ge=1)
     """Only the first so many queries of each scene."""
     experiment: str = Field(default="gvr-bench", min_length=1)
     """MLflow experiment."""
+
+    @field_validator("models", mode="before")
+    @classmethod
+    def _one_set(cls, given: Any) -> Any:
+        if isinstance(given, ModelConfig):
+            return (given.model_dump(),)
+        return (given,) if isinstance(given, dict) else given
 
     @model_validator(mode="after")
     def _names_exist(self) -> SuiteConfig:
@@ -53,15 +69,21 @@ class SuiteConfig(BaseModel):
             check_dataset(dataset.name)
         for method in self.methods:
             check_method(method.method)
-        check_models(self.models)
-        get_renderer(self.renderer)
-        shown = [method.shown_name for method in self.methods]
-        twice = sorted({name for name in shown if shown.count(name) > 1})
-        if twice:
+        for models in self.models:
+            check_models(models)
+        labels = [models.label for models in self.models]
+        if len(labels) > 1 and (not all(labels) or len(set(labels)) < len(labels)):
             raise ConfigError(
-                f"two methods are called {', '.join(twice)}", accepted="a label of its own for each"
+                f"{len(labels)} sets of models, labelled {', '.join(map(repr, labels))}",
+                accepted="a label of its own for each",
             )
+        get_renderer(self.renderer)
+        self.lines()
         return self
+
+    def lines(self) -> tuple[Line, ...]:
+        """Every method, and its variants, with every model set, in the order of running."""
+        return make_lines(self.methods, self.models)
 
 
 def bundled_suites() -> dict[str, Path]:
@@ -102,7 +124,7 @@ def parse_suite(path: Path) -> SuiteConfig:
     try:
         return SuiteConfig.model_validate(data)
     except ValidationError as error:
-        raise _first_problem(error, path) from error
+        raise _first_problem(error, path, data) from error
     except ConfigError as error:
         raise ConfigError(error.message, path=path, accepted=error.accepted) from error
 
@@ -113,26 +135,33 @@ def override(
     datasets: Sequence[str] = (),
     scenes: Sequence[str] = (),
     limit: int | None = None,
+    models: Sequence[str] = (),
 ) -> SuiteConfig:
     """The suite with choices made on the command line.
 
     Args:
         suite: The suite as its file has it.
-        methods: Run only these: names shown in the suite, or registered method names.
+        methods: Run only these: names shown in the suite, a method's with the variants that the
+            suite has of it; labels of single variants; or registered method names.
         datasets: Run only these; the suite's own settings are kept where it has the data set.
         scenes: Run only these scenes.
         limit: Only the first so many queries of each scene.
+        models: Run only with these: labels of the suite's model sets, or ``oracle`` or
+            ``onboard``.
 
     Raises:
         ConfigError: for a name that does not exist.
     """
     changes: dict[str, Any] = {}
     if methods:
-        shown = {method.shown_name: method for method in suite.methods}
-        for name in methods:
-            if name not in shown:
-                check_method(name)
-        changes["methods"] = tuple(shown.get(n) or MethodConfig(method=n) for n in methods)
+        changes["methods"] = _chosen_methods(suite, methods)
+    if models:
+        own = {chosen.label: chosen for chosen in suite.models if chosen.label}
+        sets = BUNDLED | own
+        for name in models:
+            if name not in sets:
+                raise unknown_name("set of models", name, sets)
+        changes["models"] = tuple(sets[name] for name in dict.fromkeys(models))
     if datasets:
         known = {dataset.name: dataset for dataset in suite.datasets}
         for name in datasets:
@@ -148,6 +177,19 @@ def override(
             raise ConfigError(f"--limit is {limit}", accepted="1 or more")
         changes["limit"] = limit
     return suite.model_copy(update=changes)
+
+
+def _chosen_methods(suite: SuiteConfig, names: Sequence[str]) -> tuple[MethodConfig, ...]:
+    shown = {method.shown_name: method for method in suite.methods}
+    single = {v.shown_name: v for method in suite.methods for v in variants(method)[1:]}
+    chosen = []
+    for name in dict.fromkeys(names):
+        if name not in shown and name not in single and name not in METHODS:
+            raise unknown_name("method", name, [*shown, *single, *METHODS])
+        chosen.append(shown.get(name) or single.get(name) or MethodConfig(method=name))
+    # A single variant is no second line beside its own method with all its variants.
+    covered = {v.shown_name for method in chosen for v in variants(method)[1:]}
+    return tuple(method for method in chosen if method.shown_name not in covered)
 
 
 def resolve_scenes(choices: Sequence[DatasetChoice]) -> list[tuple[str, str]]:
@@ -167,9 +209,12 @@ def resolve_scenes(choices: Sequence[DatasetChoice]) -> list[tuple[str, str]]:
     return pairs
 
 
-def _first_problem(error: ValidationError, path: Path) -> ConfigError:
+def _first_problem(error: ValidationError, path: Path, data: dict[str, Any]) -> ConfigError:
     problem = error.errors()[0]
-    place = ".".join(str(part) for part in problem["loc"]) or "top level"
+    parts = list(problem["loc"])
+    if parts[:2] == ["models", 0] and isinstance(data.get("models"), dict):
+        del parts[1]  # a single table, as the file has it
+    place = ".".join(str(part) for part in parts) or "top level"
     accepted = None
     if problem["type"] == "extra_forbidden":
         accepted = ", ".join(_fields_at(SuiteConfig, problem["loc"][:-1])) or None

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from reports.aggregate import Aggregate
+from reports.comparison import ComparedLine, compare, has_references
 from reports.headline import HEADLINE, dataset_names, method_names
 from reports.mlflow_run import (
     MAX_VALUE,
@@ -64,8 +65,9 @@ def _benchmark_content(
         for method in method_names(result, dataset):
             line = _overall_line(result, summary, dataset, method)
             lines.append(line)
+            group = _group(result, dataset, method)
             points += [
-                Point(safe_key(f"{dataset}/{method}/{name}"), value)
+                Point(safe_key(f"{group}/{name}"), value)
                 for name, value in line.items()
                 if isinstance(value, (int, float))
             ]
@@ -90,9 +92,55 @@ def _benchmark_content(
         points=kept,
         n_left_out=n_left_out,
         files=tuple((folder / name, "") for name in _FILES),
-        tables={"summary.json": as_table(lines)} if lines else {},
+        tables=_tables(result, rows, lines),
         texts={"summary.md": text},
     )
+
+
+def _tables(
+    result: Result, rows: Sequence[Row], lines: Sequence[dict[str, Any]]
+) -> dict[str, dict[str, Any]]:
+    tables = {"summary.json": as_table(lines)} if lines else {}
+    if has_references(result):
+        compared = [
+            {"dataset": dataset, **_flat(line)}
+            for dataset in dataset_names(result)
+            for line in compare(result, rows, dataset)
+        ]
+        tables["comparison.json"] = as_table(compared)
+    return tables
+
+
+def _flat(line: ComparedLine) -> dict[str, Any]:
+    """A compared line as columns: of each estimate its value and the ends of its interval."""
+    difference = line.difference
+    estimates = {
+        "iou_3d": line.iou_3d,
+        "difference": None if difference is None else difference.estimate,
+        "miou": line.miou,
+        "acc": line.acc,
+        "within_radius": line.within_radius,
+        "auroc": line.auroc,
+    }
+    flat: dict[str, Any] = {
+        "label": line.label,
+        "model_set": line.model_set,
+        "reference": line.reference,
+    }
+    for name, estimate in estimates.items():
+        flat[name] = None if estimate is None else estimate.value
+        flat[f"{name}_low"] = None if estimate is None else estimate.low
+        flat[f"{name}_high"] = None if estimate is None else estimate.high
+    return flat | {
+        "lowest_scene": line.lowest[0] if line.lowest else None,
+        "n_pairs": difference.n_pairs if difference else None,
+    }
+
+
+def _group(result: Result, dataset: str, method: str) -> str:
+    """What the metrics of a line begin with: MLflow takes no name with the dot between parts."""
+    item = next(s for s in result.scenes if (s.dataset, s.method) == (dataset, method))
+    return "/".join(filter(None, (dataset, item.model_set, item.shown_label)))
 
 
 def _overall_line(result: Result, summary: Aggregate, dataset: str, method: str) -> dict[str, Any]:

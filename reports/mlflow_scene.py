@@ -47,14 +47,14 @@ def scene_content(
         "kind": "scene",
         "dataset": item.dataset,
         "scene": item.scene,
-        "method": item.method,
+        **_line_names(item),
         "status": item.status,
         **({"error": item.error} if item.error else {}),
     }
     params = {
         "dataset": item.dataset,
         "scene": item.scene,
-        "method": item.method,
+        **_line_names(item),
         **{f"model.{role}": name for role, name in item.models.items()},
         "n_views": item.n_views,
         "n_gaussians": item.n_gaussians,
@@ -80,6 +80,17 @@ def scene_content(
         tables={"queries.json": as_table(table)} if table else {},
         datasets=((f"{item.dataset}/{item.scene}", digest[:32], source),) if item.digests else (),
     )
+
+
+def _line_names(item: SceneResult) -> dict[str, str]:
+    """The line's name and its parts; a part that it does not have is left out."""
+    names = {
+        "method": item.method,
+        "label": item.shown_label,
+        "model_set": item.model_set,
+        "reference": item.reference or "",
+    }
+    return {key: name for key, name in names.items() if name}
 
 
 def _scene_points(item: SceneResult, summary: Aggregate) -> Iterator[Point]:

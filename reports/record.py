@@ -9,7 +9,8 @@ A result is a folder that is written once, under a temporary name, and never ove
         pictures/         the target dyed red in a test view, one per query
         SHA256SUMS        sha256 of each file above
 
-The order and meaning of the fields do not change without a new ``schema_version``.
+The order and meaning of the fields do not change without a new ``schema_version``; a field that
+is added stands last, and has a default that is true of older results.
 """
 
 from __future__ import annotations
@@ -82,11 +83,12 @@ class QueryOutcome(_Record):
 
 
 class SceneResult(_Record):
-    """One method on one scene."""
+    """One method, with one set of models, on one scene."""
 
     dataset: str
     scene: str
     method: str
+    """Unique in the run: label and model set."""
     status: Literal["completed", "failed"]
     error: str | None = None
     n_gaussians: int = 0
@@ -104,6 +106,17 @@ class SceneResult(_Record):
     """Query time of the paper's second table: mean over queries of localising and segmenting."""
     stages: tuple[StageTiming, ...] = ()
     queries: tuple[QueryOutcome, ...] = ()
+    label: str = ""
+    """The method's name without the model set; empty where ``method`` says it all."""
+    model_set: str = ""
+    """Which of several sets of models it ran with; empty where there is one without a label."""
+    reference: str | None = None
+    """``method`` of the results that these are compared with, on the same scenes."""
+
+    @property
+    def shown_label(self) -> str:
+        """The label, or the method where it has none."""
+        return self.label or self.method
 
 
 class Environment(_Record):

@@ -30,7 +30,8 @@ def check_consistent(
         pictures: Path in the folder -> the picture.
 
     Raises:
-        ResultError: for a number that is not finite, two rows with the same key, a row of a scene
+        ResultError: for a number that is not finite, a scene and method that is listed twice, a
+            reference to a method that is not there, two rows with the same key, a row of a scene
             that the result does not list, or pictures that do not fit the result.
     """
     for what, record in (("result", result), *((f"rows[{i}]", r) for i, r in enumerate(rows))):
@@ -41,6 +42,7 @@ def check_consistent(
                 place=place,
                 accepted="finite numbers; what is undefined is left out",
             )
+    _check_lines(folder, result)
     scenes = {(s.dataset, s.scene, s.method) for s in result.scenes}
     seen: dict[tuple[str | None, ...], int] = {}
     for i, row in enumerate(rows):
@@ -74,6 +76,30 @@ def check_consistent(
                     place=f"query {query.query} of ({scene.dataset}, {scene.scene})",
                     accepted="every picture that the result names",
                 )
+
+
+def _check_lines(folder: Path, result: Result) -> None:
+    first: dict[tuple[str, str, str], int] = {}
+    for i, scene in enumerate(result.scenes):
+        key = (scene.dataset, scene.scene, scene.method)
+        if first.setdefault(key, i) < i:
+            raise ResultError(
+                f"{key} is there twice",
+                path=folder,
+                place=f"scenes[{first[key]}] and scenes[{i}]",
+                accepted="one result per dataset, scene and method",
+            )
+    for i, scene in enumerate(result.scenes):
+        against = (scene.dataset, scene.scene, scene.reference)
+        if scene.reference is not None and (
+            scene.reference == scene.method or against not in first
+        ):
+            raise ResultError(
+                f"{scene.method!r} is compared with {scene.reference!r}",
+                path=folder,
+                place=f"scenes[{i}].reference",
+                accepted="another method that ran on the same scene",
+            )
 
 
 def _not_finite(value: Any, place: str) -> Iterator[str]:

@@ -40,12 +40,14 @@ def to_rich(sheet: Sheet) -> RenderableType:
     )
     for i, name in enumerate(sheet.columns):
         is_name = i < sheet.n_names
+        width = _number_width(sheet, i)
         table.add_column(
             Text(printable(name)),
             justify="left" if is_name else "right",
             overflow="fold",
-            no_wrap=False,
-            min_width=None if is_name else _number_width(sheet, i),
+            # Where the head is the wider one, folding it makes room.
+            no_wrap=not is_name and width >= len(name),
+            min_width=None if is_name else width,
         )
     for row in sheet.rows:
         table.add_row(*(Text(printable(cell)) for cell in row))
@@ -72,5 +74,7 @@ def to_markdown(sheet: Sheet) -> str:
 
 
 def _escape(text: str) -> str:
-    # What a scene or a method is called must not become a link, a heading or another column.
-    return re.sub(r"([\\|*_`<>\[\]])", r"\\\1", printable(text))
+    # What a scene or a method is called must not become a link, a heading or another column. An
+    # underscore between two letters is none of these, and names like gallery_0 stay readable.
+    special = r"([\\|*`<>\[\]]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9]))"
+    return re.sub(special, r"\\\1", printable(text))

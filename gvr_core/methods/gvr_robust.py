@@ -74,7 +74,8 @@ class GVRRobust:
         encoder, features = self.tools.models.encoder, books.semantics.features
         text, *negatives = encoder.encode_texts([query.text, *NEGATIVES])
         calibration, config = calibration_of(encoder.name), self.config
-        if config.canonical_negatives and calibration.phrases:
+        phrases = calibration.phrases if config.phrases is None else config.phrases
+        if config.canonical_negatives and phrases:
             scores = relevancy(features, text, np.stack(negatives), config.temperature)
         else:
             scores = contrast(features, text, config.temperature)

@@ -45,6 +45,8 @@ class RobustLocate(_Part):
     """Areas (a lawn, a wall) are lifted from the views; off: they are taken for things."""
     refusal: bool = True
     """Too little evidence is answered with "not here"; off: something is always answered."""
+    phrases: bool | None = None
+    """Whether the encoder's space has a use for canonical phrases; None for what was calibrated."""
     temperature: float = Field(default=10.0, gt=0)
     """Of the softmax between query and negative phrase, as in LERF."""
     gate: float = Field(default=0.5, ge=0, lt=1)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
@@ -144,3 +146,10 @@ def make_sample() -> Sample:
         if query.picture is not None
     }
     return result, rows, pictures
+
+
+def reseal(folder: Path) -> None:
+    """Bring the sums up to date, so that only the damage under test is left."""
+    names = ("result.json", "rows.jsonl")
+    sums = [f"{hashlib.sha256((folder / n).read_bytes()).hexdigest()}  {n}\n" for n in names]
+    (folder / "SHA256SUMS").write_text("".join(sums))

@@ -9,19 +9,12 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 from pydantic import ValidationError
-from record_samples import PLANE, Sample, row
+from record_samples import PLANE, Sample, reseal, row
 
 from gvr_core.errors import InputError
 from reports.record import Row
 from reports.result_check import ResultError
 from reports.result_io import list_results, new_run_id, read_result, write_result
-
-
-def reseal(folder: Path) -> None:
-    """Bring the sums up to date, so that only the damage under test is left."""
-    names = ("result.json", "rows.jsonl")
-    sums = [f"{hashlib.sha256((folder / n).read_bytes()).hexdigest()}  {n}\n" for n in names]
-    (folder / "SHA256SUMS").write_text("".join(sums))
 
 
 def test_round_trip(sample: Sample, result_folder: Path) -> None:
