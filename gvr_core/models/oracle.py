@@ -23,6 +23,8 @@ MIN_AREA = 12
 JOIN_SHARE = 0.012
 """Pieces of one object that are nearer than twice this share of the picture's longer side make
 one patch: leaves belong to their plant, a twin on the other side of the table does not."""
+BACKGROUND_AXIS, ABSENT_AXIS = -2, -1
+"""Axes of the oracle's space for what is no object, and for texts that mean nothing here."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +128,7 @@ class OracleEncoder:
         for row, mask in enumerate(masks):
             cover = [float(pixels[mask.pixels].mean()) if mask.area else 0.0 for pixels in truth]
             best = int(np.argmax(cover))
-            features[row, best if cover[best] > 0.5 else self.dim - 2] = 1
+            features[row, best if cover[best] > 0.5 else BACKGROUND_AXIS] = 1
         return features
 
     def encode_texts(self, texts: Sequence[str]) -> FloatArray:
@@ -134,7 +136,7 @@ class OracleEncoder:
         features = np.zeros((len(texts), self.dim), np.float32)
         for row, text in enumerate(texts):
             meant = self.world.meaning(text)
-            features[row, self.dim - 1 if meant is None else meant] = 1
+            features[row, ABSENT_AXIS if meant is None else meant] = 1
         return features
 
 
