@@ -82,7 +82,7 @@ def segment_thing(work: Workplace, localization: Localization, index: int, text:
     if coarse is None or config.retrieved_views:
         lifted = Ballot(len(work.scene.gaussians))
         _ask_views(work, localization, index, lifted)
-        seeds = (lifted.share >= config.keep_at) & lifted.seen
+        seeds = lifted.share >= config.keep_at
         coarse = seeds if coarse is None else coarse | seeds
         if config.retrieved_views:
             ballot = lifted
