@@ -17,6 +17,8 @@ from gvr_core.scene import View
 BoolArray = NDArray[np.bool_]
 Float64Array = NDArray[np.float64]
 
+NEUTRAL = 0.5
+"""Relevancy of a patch that is as much like the query as like anything else."""
 TIE_MARGIN = 0.02
 """Relevancies in one step of this size count as equal; then the whole goes before its parts."""
 OVERLAP = 0.5
@@ -51,6 +53,11 @@ class Candidate:
     """(3,) L_3D of this view: the middle of the surface."""
     radius: float
     """Scene units."""
+
+    @property
+    def evidence(self) -> float:
+        """What it says for the place: its relevancy above 0.5, where a patch is like anything."""
+        return max(self.relevancy - NEUTRAL, 0.0)
 
 
 def gated_patches(

@@ -62,7 +62,7 @@ def places_of(
     found = []
     for label in range(int(labels.max(initial=-1)) + 1):
         members = [c for c, own in zip(candidates, labels, strict=True) if own == label]
-        found.append((sum(c.relevancy for c in members), label, members))
+        found.append((sum(c.evidence for c in members), label, members))
     found.sort(key=lambda entry: (-entry[0], entry[1]))
     renamed = np.full(len(labels), -1, np.int64)
     places: list[Place] = []

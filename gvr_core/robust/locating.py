@@ -11,6 +11,7 @@ from gvr_core.books import Books
 from gvr_core.localize import Localization, Place, Retrieval, vote, voting_radius
 from gvr_core.methods.robust_config import RobustLocate
 from gvr_core.robust.candidates import (
+    NEUTRAL,
     Candidate,
     best_of_each_view,
     gated_patches,
@@ -75,7 +76,7 @@ def _chosen_patches(books: Books, scores: FloatArray, config: RobustLocate) -> l
     if not config.several_patches:
         return best_of_each_view(scores, patches, coarsest)
     best = float(scores.max(initial=0.0))
-    gate = max(config.gate, 0.5 + config.gate_share * (best - 0.5))
+    gate = max(config.gate, NEUTRAL + config.gate_share * (best - NEUTRAL))
     chosen = gated_patches(scores, patches, gate, coarsest)
     if not chosen and not config.refusal:
         return best_of_each_view(scores, patches, coarsest)
@@ -100,7 +101,7 @@ def _things(
     place = Place(
         retrieval.points[supporters].mean(axis=0),
         float(np.median([c.radius for c in members])),
-        sum(c.relevancy for c in members),
+        sum(c.evidence for c in members),
     )
     return labels, (place,), reach
 
