@@ -25,10 +25,10 @@ from datasets.gallery import ABSENT, GalleryDataset
 from datasets.photographs import PHOTOGRAPHS
 from gvr_core.books import Books
 from gvr_core.methods import MethodConfig, Toolbox, build_method
-from gvr_core.methods.robust_config import RobustConfig
 from gvr_core.metrics import flags_3d
 from gvr_core.models.registry import build_models
 from gvr_core.rendering import get_renderer
+from gvr_core.robust.config import RobustConfig
 from gvr_core.scene import Query
 
 SEEDS = (1000, 1001, 1002, 1003, 1004, 1005)
@@ -52,8 +52,8 @@ def answers(
     phrases: bool, scenes: list[tuple[SceneData, Books]], tools: Toolbox
 ) -> Iterator[tuple[bool, float, float]]:
     """Of each question: is it there, how sure is the method, does its place lie in the object."""
-    # Calibrating is asking what the thresholds should be, so none is in force.
-    switches = RobustConfig(phrases=phrases, refusal=False)
+    # Calibrating is asking what the threshold should be, so none is in force.
+    switches = RobustConfig(phrases=phrases, refuse_below=0.0, min_views=1)
     method = build_method(MethodConfig(method="gvr-robust", robust=switches), tools)
     for data, books in scenes:
         for query in questions(data):

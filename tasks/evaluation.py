@@ -37,7 +37,8 @@ def soft_prediction(
     gaussians: Gaussians, answer: Answer, view: View, renderer: Renderer
 ) -> NDArray[np.float32]:
     """(H, W) share of each pixel's colour that comes from the target, the rest occluding it."""
-    grey = np.repeat(answer.scores[:, None], 3, axis=1).astype(np.float32)
+    # The protocol says flags: methods that also know how sure they are must not gain by it.
+    grey = np.repeat(answer.flags[:, None], 3, axis=1).astype(np.float32)
     soft: NDArray[np.float32] = renderer.render(gaussians.recoloured(grey), view.camera).rgb[..., 0]
     return soft
 

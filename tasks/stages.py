@@ -23,6 +23,7 @@ from gvr_core import preparation
 from gvr_core.books import Books, DepthBook, PatchBook, SemanticVectorBook, ViewBook
 from gvr_core.methods import MethodConfig, Toolbox, build_method
 from gvr_core.metrics import FLAGS_3D, IN_SCENE_2D, REFUSAL
+from gvr_core.robust.calibration import calibration_of
 from gvr_core.scene import Query
 from tasks.evaluation import draw_query, score_query
 from tasks.groundings import (
@@ -73,6 +74,7 @@ class SceneJob:
             "renderer": self.tools.renderer.name,
             "segmenter": models.segmenter.name,
             "encoder": models.encoder.name,
+            "calibration": calibration_of(models.encoder.name).model_dump(mode="json"),
             "text_segmenter": models.text_segmenter.name,
             "protocols": [IN_SCENE_2D, FLAGS_3D, REFUSAL],
         }
@@ -216,25 +218,34 @@ STAGES = (
         ("views", "render", "depth", "masks"),
     ),
     PlannedStage(
-        Stage("index", 1, compute_index, ("method", "renderer", "index")),
+        Stage("index", 2, compute_index, ("method", "renderer", "index")),
         ("gaussians", "views", "render", "depth", "masks", "encode"),
     ),
     PlannedStage(
-        Stage("query", 2, compute_query, ("method", "encoder", "locate")),
+        Stage("query", 3, compute_query, ("method", "encoder", "calibration", "locate")),
         ("gaussians", "views", "texts", "render", "depth", "masks", "encode", "index"),
     ),
     PlannedStage(
         Stage(
             "segment",
-            2,
+            3,
             compute_segment,
-            ("method", "renderer", "segmenter", "encoder", "text_segmenter", "segment"),
+            (
+                "method",
+                "renderer",
+                "segmenter",
+                "encoder",
+                "calibration",
+                "text_segmenter",
+                "background",
+                "segment",
+            ),
         ),
         ("gaussians", "views", "texts", "render", "depth", "masks", "encode", "index", "query"),
     ),
     PlannedStage(
-        Stage("evaluate", 1, compute_evaluate, ("renderer", "protocols")),
-        ("gaussians", "queries", "truth", "segment"),
+        Stage("evaluate", 2, compute_evaluate, ("renderer", "protocols")),
+        ("gaussians", "views", "queries", "truth", "segment"),
     ),
 )
 """The stages, in the order in which they run."""

@@ -8,16 +8,17 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from gvr_core.errors import unknown_name
-from gvr_core.methods.base import Grounding, Method, Toolbox
+from gvr_core.methods.base import Grounding, Method
 from gvr_core.methods.gvr_paper import GVRPaper, LocateConfig, SegmentConfig
 from gvr_core.methods.gvr_robust import GVRRobust
 from gvr_core.methods.lift import Lift, LiftConfig
-from gvr_core.methods.robust_config import (
+from gvr_core.robust.config import (
     RobustConfig,
     RobustIndex,
     RobustLocate,
     RobustSegment,
 )
+from gvr_core.toolbox import Toolbox
 
 METHODS = {
     "gvr-paper": "the paper's method",

@@ -13,18 +13,9 @@ from numpy.typing import NDArray
 from gvr_core import preparation
 from gvr_core.books import Books
 from gvr_core.localize import Localization
-from gvr_core.models.base import Models
-from gvr_core.rendering.base import Renderer
 from gvr_core.scene import Query, Scene
 from gvr_core.segment import VirtualView
-
-
-@dataclass(frozen=True)
-class Toolbox:
-    """What a method works with: a renderer and the models."""
-
-    renderer: Renderer
-    models: Models
+from gvr_core.toolbox import Toolbox
 
 
 @dataclass(frozen=True, eq=False)

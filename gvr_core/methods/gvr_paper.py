@@ -29,7 +29,6 @@ from gvr_core.localize import Localization, localize
 from gvr_core.methods.base import (
     Clock,
     Grounding,
-    Toolbox,
     nothing_found,
     prepare_books,
 )
@@ -42,6 +41,7 @@ from gvr_core.segment import (
     intersect,
     surrounding_views,
 )
+from gvr_core.toolbox import Toolbox
 
 
 class LocateConfig(BaseModel):

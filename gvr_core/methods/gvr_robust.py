@@ -7,7 +7,7 @@ median depth -> density clusters -> one place for each instance, or "not here".
 -> coarse set, joined with what the retrieved views' patches lift -> ring -> every view votes by
 what it sees -> neighbours decide for the rest. Areas are lifted from the views alone.
 
-Each of these is a switch of :class:`gvr_core.methods.robust_config.RobustConfig`.
+Each of these is a switch of :class:`gvr_core.robust.config.RobustConfig`.
 """
 
 from __future__ import annotations
@@ -21,15 +21,17 @@ from numpy.typing import NDArray
 from gvr_core.books import Books
 from gvr_core.cameras import up_vector
 from gvr_core.localize import Localization
-from gvr_core.methods.base import Clock, Grounding, Toolbox, nothing_found, prepare_books
-from gvr_core.methods.robust_config import NEGATIVES, RobustConfig
+from gvr_core.methods.base import Clock, Grounding, nothing_found, prepare_books
 from gvr_core.robust.calibration import calibration_of
+from gvr_core.robust.config import NEGATIVES, RobustConfig
 from gvr_core.robust.floaters import steady
 from gvr_core.robust.ground_plane import ground_up
 from gvr_core.robust.locating import find_places
 from gvr_core.robust.relevancy import contrast, relevancy
-from gvr_core.robust.segmenting import Segmented, Workplace, segment_area, segment_thing
+from gvr_core.robust.segmenting import Segmented, segment_area, segment_thing
+from gvr_core.robust.workplace import Workplace
 from gvr_core.scene import Query, Scene
+from gvr_core.toolbox import Toolbox
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,17 @@ from scipy import sparse
 
 from gvr_core.books import Books
 from gvr_core.localize import Localization
-from gvr_core.methods.base import Clock, Grounding, Toolbox, nothing_found, prepare_books
-from gvr_core.methods.robust_config import NEGATIVES
+from gvr_core.methods.base import Clock, Grounding, nothing_found, prepare_books
 from gvr_core.robust.ballot import UNSEEN, mask_weights
+from gvr_core.robust.calibration import calibration_of
+from gvr_core.robust.candidates import NEUTRAL
+from gvr_core.robust.config import NEGATIVES
+from gvr_core.robust.relevancy import softmax
 from gvr_core.scene import Query, Scene
+from gvr_core.toolbox import Toolbox
 
+BEST_PERCENTILE = 99.0
+"""The most relevant Gaussians are those above this percentile of the seen ones."""
 LOCATION_SHARE = 0.1
 """The place of an answer is the median of this part of its Gaussians, the most relevant ones."""
 
@@ -33,7 +39,12 @@ class LiftConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     threshold: float = Field(default=0.5, gt=0, lt=1)
-    """A Gaussian is the object where its relevancy is above this."""
+    """A Gaussian is the object where its relevancy is above this, and"""
+    share: float = Field(default=0.5, ge=0, le=1)
+    """where it rises above 0.5 by this part of what the most relevant ones do; the rule by which
+    ``gvr-robust`` gates patches."""
+    phrases: bool | None = None
+    """Whether relevancy is against canonical phrases; None for what was calibrated."""
     temperature: float = Field(default=10.0, gt=0)
     """Of the softmax between query and canonical phrase, as in LERF."""
 
@@ -119,24 +130,35 @@ class Lift:
             out=np.zeros((len(seen), len(texts))),
             where=lengths > 0,
         )
-        margin = cosines[:, 0] - cosines[:, 1:].max(axis=1)
-        scores = (1 / (1 + np.exp(-self.config.temperature * margin))).astype(np.float32)
-        scores[~seen] = 0.0
-        flags = scores > self.config.threshold
+        scores = np.zeros(len(seen), np.float32)
+        scores[seen] = softmax(self._margin(cosines[seen]), self.config.temperature)
+        best = float(np.percentile(scores[seen], BEST_PERCENTILE)) if seen.any() else 0.0
+        least = NEUTRAL + self.config.share * (best - NEUTRAL)
+        flags = scores > max(self.config.threshold, least)
         clock.lap("compare")
-        sureness = float(np.percentile(scores[seen], 99)) if seen.any() else 0.0
         if not flags.any():
-            return nothing_found(scene, None, sureness)
-        best = flags & (scores >= np.quantile(scores[flags], 1 - LOCATION_SHARE))
+            return nothing_found(scene, None, best)
+        core = flags & (scores >= np.quantile(scores[flags], 1 - LOCATION_SHARE))
         return Grounding(
             flags=flags,
             scores=flags.astype(np.float32),
-            location=np.median(scene.gaussians.means[best], axis=0).astype(np.float64),
+            location=np.median(scene.gaussians.means[core], axis=0).astype(np.float64),
             found=True,
-            confidence=sureness,
+            confidence=best,
             instances=(flags,),
             seconds=clock.laps,
         )
+
+    def _margin(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
+        """How much more like the query each Gaussian (s, 1 + phrases) is than like anything."""
+        encoder = self.tools.models.encoder
+        phrases = self.config.phrases
+        if phrases is None:
+            phrases = calibration_of(encoder.name).phrases
+        if phrases:
+            return np.asarray(cosines[:, 0] - cosines[:, 1:].max(axis=1))
+        typical = np.median(cosines[:, 0]) if len(cosines) else 0.0
+        return np.asarray(cosines[:, 0] - typical)
 
 
 def _lengths(weights: sparse.csr_matrix, features: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -40,14 +40,15 @@ class OracleWorld:
     meanings: Mapping[str, str]
     """Text -> object name; a text that is missing names nothing in the scene."""
     digest: str = ""
-    """Digest of all of the above; part of the models' names, and so of cache keys."""
+    """Digest of the scene, its truth and its queries; part of the models' names, and so of cache
+    keys."""
     renderer: str = "numba"
     """Name of the renderer that draws the truth."""
 
     @property
     def name(self) -> str:
         """What the models made of this world are called."""
-        return f"oracle/1({self.digest[:16]})" if self.digest else "oracle/1"
+        return f"oracle/1({self.digest[:16]},{self.renderer})" if self.digest else "oracle/1"
 
     def shares(self, frame: Frame) -> FloatArray:
         """(objects, H, W) share of each pixel's light that comes from each object."""

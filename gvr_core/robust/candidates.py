@@ -77,9 +77,7 @@ def gated_patches(
     """
     chosen: list[int] = []
     for view in range(patches.n_views):
-        inside = np.arange(patches.view_ptr[view], patches.view_ptr[view + 1])
-        if coarsest_only and len(inside):
-            inside = inside[patches.levels[inside] == patches.levels[inside].max()]
+        inside = _patches_of(patches, view, coarsest_only)
         inside = inside[scores[inside] > threshold]
         steps = np.floor(scores[inside] / TIE_MARGIN)
         taken: list[int] = []
@@ -96,9 +94,7 @@ def best_of_each_view(
     """The most relevant patch of every view, however little it says; the paper's retrieval."""
     chosen = []
     for view in range(patches.n_views):
-        inside = np.arange(patches.view_ptr[view], patches.view_ptr[view + 1])
-        if coarsest_only and len(inside):
-            inside = inside[patches.levels[inside] == patches.levels[inside].max()]
+        inside = _patches_of(patches, view, coarsest_only)
         if len(inside):
             chosen.append(int(inside[np.argmax(scores[inside])]))
     return chosen
@@ -157,6 +153,14 @@ def eroded(pixels: BoolArray) -> BoolArray:
     return inside
 
 
+def _patches_of(patches: PatchBook, view: int, coarsest_only: bool) -> NDArray[np.int64]:
+    """Indices of a view's patches, or of those of its coarsest level."""
+    inside = np.arange(patches.view_ptr[view], patches.view_ptr[view + 1])
+    if coarsest_only and len(inside):
+        inside = inside[patches.levels[inside] == patches.levels[inside].max()]
+    return inside
+
+
 def _by_position(
     view: int,
     patch: int,
@@ -170,7 +174,8 @@ def _by_position(
     if z <= 0:
         return None
     point = camera.unproject((x, y), z)
-    radius = float(np.sqrt(np.count_nonzero(pixels) / np.pi)) * z / float(camera.K[0, 0])
+    focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
+    radius = float(np.sqrt(np.count_nonzero(pixels) / np.pi)) * z / focal
     return Candidate(view, patch, relevancy, (x, y), point[None], point, radius)
 
 

@@ -39,8 +39,9 @@ def cluster_candidates(
     points = np.stack([candidate.point for candidate in candidates])
     reach = radii * float(np.median([candidate.radius for candidate in candidates]))
     least = min(len(points), max(MIN_SAMPLES, int(np.ceil(min_share * len(points)))))
-    # a reach of nothing is a single point seen many times
-    reach = max(reach, 1e-9 + 1e-6 * float(np.abs(points).max()))
+    # a reach of nothing is a single point seen many times; the origin must not matter
+    points = points - np.median(points, axis=0)
+    reach = max(reach, 1e-6 * float(np.abs(points).max()), np.finfo(np.float64).tiny)
     labels = DBSCAN(eps=reach, min_samples=least).fit(points).labels_
     return labels.astype(np.int64), reach
 
@@ -63,18 +64,19 @@ def places_of(
     for label in range(int(labels.max(initial=-1)) + 1):
         members = [c for c, own in zip(candidates, labels, strict=True) if own == label]
         found.append((sum(c.evidence for c in members), label, members))
-    found.sort(key=lambda entry: (-entry[0], entry[1]))
+    found.sort(key=lambda entry: (-entry[0], -len(entry[2]), entry[1]))
     renamed = np.full(len(labels), -1, np.int64)
     places: list[Place] = []
     for weight, label, members in found[:most]:
-        if places and weight < share * places[0].weight:
+        if places and (weight <= 0 or weight < share * places[0].weight):
             break
         renamed[labels == label] = len(places)
         surface = np.concatenate([c.surface for c in members])
         centre = geometric_median(surface)
         distances = np.linalg.norm(surface - centre, axis=1)
         radius = float(np.percentile(distances, REACH_PERCENTILE))
-        places.append(Place(centre, max(radius, members[0].radius), weight))
+        least = float(np.median([c.radius for c in members]))
+        places.append(Place(centre, max(radius, least), weight))
     return renamed, tuple(places)
 
 

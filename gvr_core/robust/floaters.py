@@ -10,12 +10,12 @@ from gvr_core.gaussians import Gaussians
 
 LEAST_OPACITY = 0.05
 """Fainter Gaussians are nearly invisible."""
-MOST_SCALE = 10.0
-"""Larger Gaussians than this many median sizes are huge."""
 NEIGHBOURS = 8
 """A Gaussian of a surface has so many others near it."""
 ALONE = 3.0
-"""One that reaches none of them within so many of its own standard deviations is alone."""
+"""One that does not reach so many within this many of its own standard deviations is alone."""
+HUGE = 20.0
+"""One whose standard deviation is this many distances to them covers things it is no part of."""
 
 
 def steady(gaussians: Gaussians) -> NDArray[np.bool_]:
@@ -32,9 +32,8 @@ def steady(gaussians: Gaussians) -> NDArray[np.bool_]:
     """
     size = gaussians.scales.max(axis=1)
     kept = gaussians.opacities >= LEAST_OPACITY
-    kept &= size <= MOST_SCALE * float(np.median(size))
     if np.count_nonzero(kept) > NEIGHBOURS:
         means = gaussians.means[kept]
         distances = KDTree(means).query(means, k=NEIGHBOURS + 1, workers=-1)[0][:, -1]
-        kept[kept] = distances <= ALONE * size[kept]
+        kept[kept] = (distances <= ALONE * size[kept]) & (size[kept] <= HUGE * distances)
     return kept if kept.mean() >= 0.2 else np.ones(len(gaussians), np.bool_)

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvr_core.books import DepthBook
-from gvr_core.cameras import UpVector, unit, up_vector
+from gvr_core.cameras import unit, up_vector
+from gvr_core.errors import CameraFormatError
 from gvr_core.scene import View
 
 Float64Array = NDArray[np.float64]
@@ -28,7 +29,7 @@ BELOW_SHARE = 0.1
 
 
 def ground_up(views: Sequence[View], depths: DepthBook) -> Float64Array:
-    """u: the normal of the ground plane nearest to the cameras' mean up axis.
+    """u: the normal of the ground plane, the side of it that the cameras call up.
 
     Cameras that look down from one side only have up axes that all lean the same way, and so
     has their mean. The plane that carries most of what they see, among those that do not lean
@@ -42,23 +43,36 @@ def ground_up(views: Sequence[View], depths: DepthBook) -> Float64Array:
     Returns:
         (3,) unit vector; the cameras' mean up axis where there is no such plane.
     """
-    mean = up_vector([view.camera for view in views])
+    prior = _cameras_up(views)
     points, distance = _depth_points(views, depths)
     if len(points) < 100:
-        return mean.direction
-    normal = _best_plane(points, mean, THICKNESS * distance)
-    return mean.direction if normal is None else normal
+        return prior
+    points = points - np.median(points, axis=0)
+    normal = _best_plane(points, prior, THICKNESS * distance)
+    return prior if normal is None else normal
 
 
-def _best_plane(points: Float64Array, mean: UpVector, slack: float) -> Float64Array | None:
+def _cameras_up(views: Sequence[View]) -> Float64Array:
+    """The mean of the cameras' up axes; where they cancel out, against where they look.
+
+    Cameras that look straight down, as drones do, hold their pictures any way round.
+    """
+    cameras = [view.camera for view in views]
+    try:
+        return up_vector(cameras).direction
+    except CameraFormatError:
+        return unit(-np.mean([camera.forward for camera in cameras], axis=0))
+
+
+def _best_plane(points: Float64Array, prior: Float64Array, slack: float) -> Float64Array | None:
     rng = np.random.default_rng(0)
     corners = points[rng.integers(0, len(points), (HYPOTHESES, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
     sound = lengths > 1e-12 * float(np.abs(points).max()) ** 2
     normals = normals[sound] / lengths[sound, None]
-    normals *= np.where(normals @ mean.direction < 0, -1.0, 1.0)[:, None]
-    upright = normals @ mean.direction >= np.cos(np.radians(MOST_DEGREES))
+    normals *= np.where(normals @ prior < 0, -1.0, 1.0)[:, None]
+    upright = normals @ prior >= np.cos(np.radians(MOST_DEGREES))
     normals, origins = normals[upright], corners[sound][upright, 0]
     if len(normals) == 0:
         return None
@@ -71,7 +85,7 @@ def _best_plane(points: Float64Array, mean: UpVector, slack: float) -> Float64Ar
         return None
     carried = points[np.abs(heights[:, best]) <= slack]
     _, _, axes = np.linalg.svd(carried - carried.mean(axis=0), full_matrices=False)
-    normal: Float64Array = axes[2] if axes[2] @ mean.direction > 0 else -axes[2]
+    normal: Float64Array = axes[2] if axes[2] @ prior > 0 else -axes[2]
     return unit(normal)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,7 +10,6 @@ from numpy.typing import NDArray
 
 from gvr_core.books import Books
 from gvr_core.localize import Localization, Place, Retrieval, vote, voting_radius
-from gvr_core.methods.robust_config import RobustLocate
 from gvr_core.robust.candidates import (
     NEUTRAL,
     Candidate,
@@ -18,12 +18,13 @@ from gvr_core.robust.candidates import (
     place_candidate,
 )
 from gvr_core.robust.clusters import cluster_candidates, places_of
+from gvr_core.robust.config import RobustLocate
 from gvr_core.scene import View
 
 FloatArray = NDArray[np.float32]
 
 CONFIDENCE_SHARE = 0.1
-"""The part of all views whose word the confidence is made of."""
+"""The part of the views that put something forward whose word the confidence is made of."""
 
 
 def find_places(
@@ -55,18 +56,21 @@ def find_places(
     candidates = [candidate for candidate in found if candidate is not None]
     retrieval = _retrieval(candidates)
     if not candidates:
-        best = float(scores.max(initial=0.0))
-        return Localization(retrieval, np.empty(0, np.int64), (), 0.0, confidence=best)
+        none = np.empty(0, np.int64)
+        return Localization(retrieval, none, (), 0.0, _sureness(_best_of_views(books, scores)))
     if config.stuff and _is_stuff(candidates, books, config.stuff_share):
-        labels, reach = np.zeros(len(candidates), np.int64), 0.0
-        labels, places = places_of(candidates, labels, 1.0, 1)
-        is_stuff = True
+        reach, is_stuff = 0.0, True
+        labels, places = places_of(candidates, np.zeros(len(candidates), np.int64), 1.0, 1)
     else:
-        labels, places, reach = _things(candidates, retrieval, views, config)
         is_stuff = False
-    sureness = _confidence(candidates, labels, len(views))
-    n_views = len({c.view for c, own in zip(candidates, labels, strict=True) if own == 0})
-    if config.refusal and (sureness < refuse_below or n_views < config.min_views):
+        labels, places, reach = _things(candidates, retrieval, views, config)
+    supporters = [c for c, own in zip(candidates, labels, strict=True) if own == 0]
+    best: dict[int, float] = {}
+    for candidate in supporters:
+        best[candidate.view] = max(best.get(candidate.view, 0.0), candidate.relevancy)
+    sureness = _sureness(list(best.values()))
+    asked = min(config.min_views, len(views))
+    if config.refusal and (sureness < refuse_below or len(best) < asked):
         places, labels = (), np.full(len(candidates), -1, np.int64)
     return Localization(retrieval, labels, places, reach, sureness, is_stuff)
 
@@ -93,6 +97,9 @@ def _things(
     most = config.max_instances if config.all_instances else 1
     if config.density_clusters:
         labels, reach = cluster_candidates(candidates, config.cluster_radii, config.min_share)
+        if not config.refusal and labels.max(initial=-1) < 0:
+            # no two agree, and an answer is wanted all the same
+            labels[int(np.argmax([c.relevancy for c in candidates]))] = 0
         return *places_of(candidates, labels, config.instance_share, most), reach
     reach = voting_radius(retrieval, views, config.vote_radius)
     supporters = vote(retrieval.points, reach)
@@ -107,29 +114,43 @@ def _things(
 
 
 def _is_stuff(candidates: Sequence[Candidate], books: Books, share: float) -> bool:
-    """Whether what the candidates cover together is most often a large part of the picture."""
-    patches = books.semantics.patches
-    covered: dict[int, int] = {}
-    for candidate in candidates:
-        covered[candidate.view] = covered.get(candidate.view, 0) + int(
-            patches.areas[candidate.patch]
-        )
-    parts = [area / float(np.prod(patches.sizes[view])) for view, area in covered.items()]
-    return float(np.median(parts)) > share
+    """Whether it is an area: most often a large part of the picture, and cut off by its border.
 
-
-def _confidence(candidates: Sequence[Candidate], labels: NDArray[np.int64], n: int) -> float:
-    """Mean relevancy of the views that speak for the first place, the best tenth of all views.
-
-    An object may be in sight of few cameras only, so most views' silence says nothing; a single
-    view's word is not enough, so at least two are asked for.
+    A thing that a camera is close to may be as large, but has its outline in the picture.
     """
-    best: dict[int, float] = {}
-    for candidate, own in zip(candidates, labels, strict=True):
-        if own == 0:
-            best[candidate.view] = max(best.get(candidate.view, 0.0), candidate.relevancy)
-    asked = max(2, round(CONFIDENCE_SHARE * n))
-    return sum(sorted(best.values(), reverse=True)[:asked]) / asked
+    patches = books.semantics.patches
+    largest: dict[int, int] = {}
+    for candidate in candidates:
+        known = largest.get(candidate.view)
+        if known is None or patches.areas[candidate.patch] > patches.areas[known]:
+            largest[candidate.view] = candidate.patch
+    parts, cut = [], []
+    for view, patch in largest.items():
+        height, width = patches.sizes[view]
+        x0, y0, x1, y1 = patches.boxes[patch]
+        parts.append(float(patches.areas[patch]) / float(height * width))
+        cut.append(x0 <= 0 or y0 <= 0 or x1 >= width or y1 >= height)
+    return float(np.median(parts)) > share and float(np.mean(cut)) > 0.5
+
+
+def _sureness(best: Sequence[float]) -> float:
+    """Mean relevancy of the views that say most: a tenth of those that say anything, at least two.
+
+    An object may be in sight of few cameras only, so the silence of the others means nothing;
+    and a single view's word counts as half.
+
+    Args:
+        best: The best relevancy of each view that puts something forward.
+    """
+    asked = max(2, round(CONFIDENCE_SHARE * len(best)))
+    return float(sum(sorted(best, reverse=True)[:asked]) / asked)
+
+
+def _best_of_views(books: Books, scores: FloatArray) -> list[float]:
+    """The best relevancy of each view, whatever passes the gate."""
+    ptr = books.semantics.patches.view_ptr
+    parts = [scores[a:b] for a, b in itertools.pairwise(ptr) if b > a]
+    return [float(part.max()) for part in parts]
 
 
 def _retrieval(candidates: Sequence[Candidate]) -> Retrieval:

@@ -26,7 +26,7 @@ def relevancy(
     Returns:
         (M,) in (0, 1).
     """
-    return _softmax(features @ text - (features @ negatives.T).max(axis=1), temperature)
+    return softmax(features @ text - (features @ negatives.T).max(axis=1), temperature)
 
 
 def contrast(features: FloatArray, text: FloatArray, temperature: float) -> FloatArray:
@@ -45,9 +45,10 @@ def contrast(features: FloatArray, text: FloatArray, temperature: float) -> Floa
     """
     cosines = features @ text
     typical = np.float32(np.median(cosines)) if len(cosines) else np.float32(0)
-    return _softmax(cosines - typical, temperature)
+    return softmax(cosines - typical, temperature)
 
 
-def _softmax(margin: FloatArray, temperature: float) -> FloatArray:
+def softmax(margin: FloatArray, temperature: float) -> FloatArray:
+    """1 / (1 + exp(-t m)) of margins m, float32: the softmax between two cosines m apart."""
     scores: FloatArray = (1 / (1 + np.exp(-np.float32(temperature) * margin))).astype(np.float32)
     return scores

@@ -8,44 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gvr_core.books import Books
-from gvr_core.cameras import Camera, birds_eye_camera, ring_cameras
-from gvr_core.localize import Localization, Place
-from gvr_core.methods.base import Toolbox
-from gvr_core.methods.robust_config import RobustSegment
-from gvr_core.metrics import iou
-from gvr_core.models.base import Frame
-from gvr_core.robust.ballot import Ballot, centre_weights, mask_weights
+from gvr_core.localize import Localization
+from gvr_core.robust.ballot import Ballot
 from gvr_core.robust.cleanup import follow_neighbours
-from gvr_core.robust.observation import observed_share
-from gvr_core.scene import Scene
-from gvr_core.segment import VirtualView, target_width
+from gvr_core.robust.virtual_views import birds_eye, look_around
+from gvr_core.robust.workplace import Workplace
+from gvr_core.segment import VirtualView
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
-Weights = tuple[FloatArray, FloatArray]
 
 LEAST_TRUST = 0.05
 """A detection counts at least so much, whatever its score."""
 LEAST_VOTING_VIEWS = 2
 """With fewer voting views the coarse set is the answer."""
-EXTENT_PERCENTILES = (2.0, 98.0)
-"""The coarse set's extent for the ring: a few strays do not push the cameras away."""
-
-
-@dataclass(frozen=True, eq=False)
-class Workplace:
-    """What segmenting works with."""
-
-    scene: Scene
-    """With the up direction to use."""
-    books: Books
-    tools: Toolbox
-    config: RobustSegment
-    steady: BoolArray
-    """(N,) the Gaussians to draw in virtual views."""
-    background: tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +32,7 @@ class Segmented:
     flags: BoolArray
     """(N,)."""
     scores: FloatArray
-    """(N,) in [0, 1]: share of the votes."""
+    """(N,) in [0, 1]: share of the votes; at least 0.5 where the flag is set, else less."""
     bev: VirtualView | None = None
     ring: Sequence[VirtualView] = ()
 
@@ -78,61 +55,29 @@ def segment_thing(work: Workplace, localization: Localization, index: int, text:
     """
     config, place = work.config, localization.places[index]
     ballot = Ballot(len(work.scene.gaussians))
-    bev, coarse = _birds_eye(work, place)
+    above = birds_eye(work, place)
+    coarse = above.coarse
     if coarse is None or config.retrieved_views:
         lifted = Ballot(len(work.scene.gaussians))
         _ask_views(work, localization, index, lifted)
+        # Whatever shines through is let in here: the ring draws the coarse set alone, and so
+        # sees and judges what was hidden from the views.
         seeds = lifted.share >= config.keep_at
         coarse = seeds if coarse is None else coarse | seeds
         if config.retrieved_views:
             ballot = lifted
     if not coarse.any():
-        return Segmented(coarse, coarse.astype(np.float32), bev)
-    ring = _look_around(work, coarse, place, text)
+        return Segmented(coarse, coarse.astype(np.float32), above.view)
+    ring = look_around(work, coarse, place, text)
     if not config.soft_vote:
-        return _intersection(work, coarse, bev, ring, ballot)
+        return _intersection(work, coarse, above.view, ring)
     for view in ring:
-        if view.mask is not None:
-            _add_virtual(work, ballot, view, coarse, place.location)
-    if bev.mask is not None:
-        _add_virtual(work, ballot, bev, bev.frame.shown, place.location)
+        _add_virtual(work, ballot, view, coarse, place.location)
+    if above.coarse is not None:
+        _add_virtual(work, ballot, above.view, above.drawn, place.location)
     if ballot.views < LEAST_VOTING_VIEWS:
-        return Segmented(coarse, coarse.astype(np.float32), bev, ring)
-    return _count(work, ballot, coarse, bev, ring)
-
-
-def _birds_eye(work: Workplace, place: Place) -> tuple[VirtualView, BoolArray | None]:
-    """The view from above, and the coarse set; None where the view is not to be trusted."""
-    scene, config = work.scene, work.config
-    up, model = scene.up_direction, scene.views[0].camera
-    drawn = work.steady
-    if config.bev_clip:
-        heights = (scene.gaussians.means - place.location) @ up
-        drawn = drawn & (heights <= (1 + config.clip_margin) * place.radius)
-    eyes = np.stack([view.camera.position for view in scene.views])
-    away = config.bev_distance * float(np.linalg.norm(eyes - place.location, axis=1).mean())
-    camera = birds_eye_camera(place.location, up, away, model.K, model.width, model.height)
-    if not drawn.any():
-        drawn = work.steady
-    frame = _draw(work, camera, drawn)
-    (x, y), _ = camera.project(place.location)
-    mask = work.tools.models.segmenter.at_point(frame, (float(x), float(y)))
-    if config.bev_gate:
-        share = observed_share(
-            scene, work.books.depths, frame, mask.pixels, config.observed_degrees
-        )
-        if share < config.observed_share:
-            return VirtualView(frame, None), None
-    inside, outside = centre_weights(scene.gaussians, camera, mask.pixels, drawn)
-    column = inside > 0
-    if config.weight_filter:
-        # what the view sees is judged by its weights; what lies under it, by the column
-        inside, outside = mask_weights(
-            work.tools.renderer, scene.gaussians, camera, mask.pixels, drawn
-        )
-        seen = inside + outside > 0.5
-        column = np.where(seen, inside > outside, column)
-    return VirtualView(frame, mask), column
+        return Segmented(coarse, coarse.astype(np.float32), above.view, ring)
+    return _count(work, ballot, coarse, above.view, ring)
 
 
 def _ask_views(work: Workplace, localization: Localization, index: int, ballot: Ballot) -> None:
@@ -161,8 +106,8 @@ def _ask_views(work: Workplace, localization: Localization, index: int, ballot: 
     names = list(masks)
     for i in (names[j] for j in chosen):
         camera = scene.views[i].camera
-        weights = _weights(work, camera, masks[i], None)
-        ballot.add(weights, trust[i] * _pixel_area(work, camera, location))
+        weights = work.weights(camera, masks[i], None)
+        ballot.add(weights, trust[i] * work.pixel_area(camera, location))
 
 
 def spread_views(
@@ -192,56 +137,19 @@ def spread_views(
     return sorted(chosen)
 
 
-def _look_around(work: Workplace, coarse: BoolArray, place: Place, text: str) -> list[VirtualView]:
-    """The ring's pictures of the coarse set, each with what the text names in it, if anything."""
-    scene, config = work.scene, work.config
-    up, model = scene.up_direction, scene.views[0].camera
-    drawn = coarse & work.steady
-    if not drawn.any():
-        drawn = coarse
-    target = scene.gaussians.subset(drawn)
-    width = max(target_width(target.means, up), float(target.scales.max(axis=1).mean()))
-    centre, distance = place.location, config.ring_distance * width
-    if config.ring_fit:
-        low, high = np.percentile(target.means, EXTENT_PERCENTILES, axis=0)
-        centre = (low + high) / 2
-        reach = np.linalg.norm(target.means - centre, axis=1)
-        half = np.arctan(min(model.width / model.K[0, 0], model.height / model.K[1, 1]) / 2)
-        fits = float(np.percentile(reach, EXTENT_PERCENTILES[1]) / np.sin(half))
-        distance = max(distance, fits)
-    cameras = ring_cameras(
-        centre,
-        up,
-        distance,
-        config.ring_pitch,
-        config.ring_views,
-        model.K,
-        model.width,
-        model.height,
-    )
-    views = []
-    for camera in cameras:
-        frame = _draw(work, camera, drawn)
-        mask = work.tools.models.text_segmenter.segment(frame, text)
-        if mask is not None and config.soft_vote and frame.alpha is not None:
-            silhouette = frame.alpha > 0.5
-            mask = mask if iou(mask.pixels, silhouette) >= config.agree_iou else None
-        views.append(VirtualView(frame, mask))
-    return views
-
-
 def _add_virtual(
     work: Workplace,
     ballot: Ballot,
     view: VirtualView,
-    drawn: BoolArray | None,
+    drawn: BoolArray,
     location: Float64Array,
 ) -> None:
-    if view.mask is None:
+    """A virtual view votes on what it has drawn; without a detection it abstains."""
+    if view.mask is None or view.mask.area == 0:
         return
     camera = view.frame.camera
-    weights = _weights(work, camera, view.mask.pixels, drawn)
-    ballot.add(weights, max(LEAST_TRUST, view.mask.score) * _pixel_area(work, camera, location))
+    trust = max(LEAST_TRUST, view.mask.score) * work.pixel_area(camera, location)
+    ballot.add(work.weights(camera, view.mask.pixels, drawn), trust)
 
 
 def _count(
@@ -261,44 +169,21 @@ def _count(
 
 
 def _intersection(
-    work: Workplace,
-    coarse: BoolArray,
-    bev: VirtualView | None,
-    ring: Sequence[VirtualView],
-    ballot: Ballot,
+    work: Workplace, coarse: BoolArray, bev: VirtualView, ring: Sequence[VirtualView]
 ) -> Segmented:
-    """The paper's rule: what every ring view keeps, and nothing where one has no detection."""
+    """The paper's rule: what every ring view keeps, and nothing where one has no detection.
+
+    Nobody votes then: neither the retrieved views, which only help to make the coarse set, nor
+    the view from above.
+    """
     flags = coarse.copy()
     for view in ring:
         if view.mask is None:
             flags[:] = False
             break
-        inside, outside = _weights(work, view.frame.camera, view.mask.pixels, coarse)
-        flags &= inside >= outside
+        flags &= work.keeps(view.frame.camera, view.mask.pixels, coarse)
+    if work.config.cleanup and flags.any():
+        everything = np.ones(len(flags), np.bool_)
+        means = work.scene.gaussians.means
+        flags = follow_neighbours(means, flags, everything, work.config.neighbours)
     return Segmented(flags, flags.astype(np.float32), bev, ring)
-
-
-def _weights(work: Workplace, camera: Camera, mask: BoolArray, drawn: BoolArray | None) -> Weights:
-    gaussians = work.scene.gaussians
-    if work.config.weight_filter:
-        return mask_weights(work.tools.renderer, gaussians, camera, mask, drawn)
-    return centre_weights(gaussians, camera, mask, drawn)
-
-
-def _draw(work: Workplace, camera: Camera, drawn: BoolArray) -> Frame:
-    shown = work.scene.gaussians.subset(drawn)
-    rendering = work.tools.renderer.render(shown, camera, work.background)
-    return Frame.of_rendering(rendering, camera, drawn)
-
-
-def _pixel_area(work: Workplace, camera: Camera, location: Float64Array) -> float:
-    """Area that a pixel covers at a place, in those of the knowledge views.
-
-    A near view has more pixels on an object than a far one, and no more to say.
-    """
-    areas = [_area(view.camera, location) for view in work.scene.views]
-    return _area(camera, location) / float(np.median(areas))
-
-
-def _area(camera: Camera, location: Float64Array) -> float:
-    return float((np.linalg.norm(camera.position - location) / camera.K[0, 0]) ** 2)
