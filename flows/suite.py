@@ -67,6 +67,8 @@ class SuiteConfig(BaseModel):
     def _names_exist(self) -> SuiteConfig:
         for dataset in self.datasets:
             check_dataset(dataset.name)
+            _refuse_doubles(f"scenes of {dataset.name}", dataset.scenes or ())
+        _refuse_doubles("data sets", [dataset.name for dataset in self.datasets])
         for method in self.methods:
             check_method(method.method)
         for models in self.models:
@@ -166,11 +168,13 @@ def override(
         known = {dataset.name: dataset for dataset in suite.datasets}
         for name in datasets:
             check_dataset(name)
-        changes["datasets"] = tuple(known.get(n) or DatasetChoice(name=n) for n in datasets)
+        names = dict.fromkeys(datasets)
+        changes["datasets"] = tuple(known.get(n) or DatasetChoice(name=n) for n in names)
     if scenes:
         chosen = changes.get("datasets", suite.datasets)
         changes["datasets"] = tuple(
-            dataset.model_copy(update={"scenes": tuple(scenes)}) for dataset in chosen
+            dataset.model_copy(update={"scenes": tuple(dict.fromkeys(scenes))})
+            for dataset in chosen
         )
     if limit is not None:
         if limit < 1:
@@ -207,6 +211,12 @@ def resolve_scenes(choices: Sequence[DatasetChoice]) -> list[tuple[str, str]]:
                 raise unknown_name(f"scene of {choice.name}", scene, known)
             pairs.append((choice.name, scene))
     return pairs
+
+
+def _refuse_doubles(what: str, names: Sequence[str]) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ConfigError(f"among the {what}, {', '.join(twice)} twice", accepted="each once")
 
 
 def _first_problem(error: ValidationError, path: Path, data: dict[str, Any]) -> ConfigError:

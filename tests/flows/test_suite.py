@@ -6,7 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from flows.suite import SuiteConfig, bundled_suites, override, parse_suite, read_suite
+from flows.suite import (
+    DatasetChoice,
+    SuiteConfig,
+    bundled_suites,
+    override,
+    parse_suite,
+    read_suite,
+)
 from gvr_core.errors import ConfigError
 
 GOOD = """
@@ -207,3 +214,16 @@ def test_model_sets_are_picked_by_label_or_by_what_they_are(tmp_path: Path) -> N
     with pytest.raises(ConfigError) as caught:
         override(suite, models=["clip"])
     assert "chance, onboard, oracle, truth" in str(caught.value)
+
+
+def test_what_is_named_twice_is_refused_or_run_once(tmp_path: Path) -> None:
+    gallery = DatasetChoice(name="gallery")
+    with pytest.raises(ConfigError, match="among the data sets, gallery twice"):
+        SuiteConfig(name="s", datasets=(gallery, gallery))
+    with pytest.raises(ConfigError, match="gallery_0 twice"):
+        SuiteConfig(
+            name="s", datasets=(DatasetChoice(name="gallery", scenes=("gallery_0", "gallery_0")),)
+        )
+    plain = SuiteConfig(name="s", datasets=(gallery,))
+    chosen = override(plain, datasets=["gallery", "gallery"], scenes=["gallery_0", "gallery_0"])
+    assert chosen.datasets == (DatasetChoice(name="gallery", scenes=("gallery_0",)),)
