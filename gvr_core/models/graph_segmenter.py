@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ from skimage.segmentation import felzenszwalb
 
 from gvr_core.models.base import BoolArray, Frame, Mask
 from gvr_core.models.frame_geometry import FrameGeometry, frame_geometry
+from gvr_core.models.frame_memory import content_key
 from gvr_core.models.outlines import Outline, outline_of
 from gvr_core.models.regions import LabelArray, Region, regions_of
 from gvr_core.models.things import merge_things
@@ -163,7 +163,7 @@ class GraphSegmenter:
 
     def _proposals(self, frame: Frame) -> list[_Proposal]:
         """The frame's masks, made once and remembered for the prompts that follow."""
-        key = _content_key(frame)
+        key = content_key(frame)
         with self._lock:
             if key in self._recent:
                 self._recent.move_to_end(key)
@@ -270,13 +270,3 @@ def _box_iou(a: tuple[int, int, int, int], b: tuple[float, float, float, float])
         return 0.0
     union = (a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - width * height
     return float(width * height / union)
-
-
-def _content_key(frame: Frame) -> bytes:
-    """Digest of what the segmenter looks at in a frame."""
-    digest = hashlib.blake2b(digest_size=16)
-    for array in (frame.rgb, frame.depth, frame.alpha, frame.camera.K):
-        if array is not None:
-            digest.update(f"{array.shape}{array.dtype}".encode())
-            digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.digest()

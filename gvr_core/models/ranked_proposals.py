@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from gvr_core.models.base import Encoder, Frame, Mask, Segmenter
+from gvr_core.models.frame_memory import FrameMemory, SeenFrame
 
 
 class RankedSettings(BaseModel):
@@ -25,7 +26,7 @@ class RankedProposals:
 
     It stands in for Grounding DINO with SAM where their weights cannot be had. It always answers
     when there is anything to see: telling that something is absent is left to whoever reads the
-    score.
+    score. Frames that it saw lately are not looked at twice: queries share them.
 
     Args:
         segmenter: Makes the proposals.
@@ -39,6 +40,7 @@ class RankedProposals:
         self._segmenter = segmenter
         self._encoder = encoder
         self._settings = settings or RankedSettings()
+        self._memory = FrameMemory()
 
     @property
     def name(self) -> str:
@@ -58,11 +60,19 @@ class RankedProposals:
             nothing. Of proposals that are equally like the text, the coarsest, then the largest,
             then the first.
         """
-        proposals = self._segmenter.automatic(frame)
-        if not proposals:
+        seen = self._memory.recall(frame, lambda: self._look(frame))
+        if not len(seen.features):
             return None
-        patches = self._encoder.encode_patches(frame, proposals)
-        similarity = patches @ self._encoder.encode_texts([text])[0]
+        similarity = seen.features @ self._encoder.encode_texts([text])[0]
         equal = np.flatnonzero(similarity >= similarity.max() - self._settings.tie_margin)
-        best = max(equal, key=lambda i: (proposals[i].level, proposals[i].area, -i))
-        return replace(proposals[best], score=float(similarity[best]))
+        areas = seen.areas
+        best = max(equal, key=lambda i: (seen.levels[i], areas[i], -i))
+        return replace(seen.mask(int(best)), score=float(similarity[best]))
+
+    def _look(self, frame: Frame) -> SeenFrame:
+        proposals = self._segmenter.automatic(frame)
+        features = np.empty((0, self._encoder.dim), np.float32)
+        if proposals:
+            features = self._encoder.encode_patches(frame, proposals)
+        height, width = frame.depth.shape
+        return SeenFrame.of(proposals, features, (height, width))

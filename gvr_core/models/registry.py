@@ -71,7 +71,16 @@ def _random(name: str) -> Encoder | None:
 
 
 def _ranked(config: ModelConfig, segmenter: Segmenter, encoder: Encoder) -> TextSegmenter:
-    return RankedProposals(segmenter, encoder, config.ranked)
+    # mypy cannot see that models are hashable, as all objects without an __eq__ are
+    return _ranked_proposals(segmenter, encoder, config.ranked)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=4)
+def _ranked_proposals(
+    segmenter: Segmenter, encoder: Encoder, settings: RankedSettings
+) -> TextSegmenter:
+    """One for each pair of models, so that lines of a suite share the frames it remembers."""
+    return RankedProposals(segmenter, encoder, settings)
 
 
 SEGMENTERS: dict[str, Callable[[ModelConfig], Segmenter]] = {"onboard-graph": _graph}

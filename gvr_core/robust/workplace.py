@@ -14,6 +14,7 @@ from gvr_core.models.base import Frame
 from gvr_core.robust.ballot import Ballot, centre_weights, mask_weights
 from gvr_core.robust.config import RobustSegment
 from gvr_core.scene import Scene
+from gvr_core.segment import frustum_filter
 from gvr_core.toolbox import Toolbox
 
 BoolArray = NDArray[np.bool_]
@@ -81,7 +82,7 @@ class Workplace:
         What the view sees is judged by its weights. Of what is hidden in it weights say nothing:
         that is judged by the column under the mask, as everything is without weights.
         """
-        column = centre_weights(self.scene.gaussians, camera, mask, drawn)[0] > 0
+        column = frustum_filter(self.scene.gaussians, camera, mask) & drawn
         if not self.config.weight_filter:
             return column
         ballot = Ballot(len(self.scene.gaussians))

@@ -90,7 +90,7 @@ def test_what_all_scenes_have_in_common(load: Load, name: str) -> None:
     assert {(camera.width, camera.height) for camera in every} == {(320, 240)}
     assert len(data.scene.gaussians) < 230_000
     absent = [query.text for query in data.queries if query.absent]
-    assert len(set(absent)) == len(absent) == (8 if name == "absent" else 2)
+    assert len(set(absent)) == len(absent) == (8 if name == "absent" else 1)
     asked = [query.target for query in data.queries if not query.absent]
     assert 2 <= len(data.truth.objects) <= 3 and set(asked) == set(data.truth.objects)
     labels = data.truth.labels
