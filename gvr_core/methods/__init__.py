@@ -40,8 +40,9 @@ class MethodConfig(BaseModel):
 
     method: str = "gvr-paper"
     """A name from :data:`METHODS`."""
-    label: str = Field(default="", pattern=r"^[A-Za-z0-9 _./+-]{0,64}$")
-    """Name in tables and MLflow; the method's own name where empty."""
+    label: str = Field(default="", pattern=r"^[A-Za-z0-9 _./+-]{0,40}$")
+    """Name in tables and MLflow; the method's own name where empty. What is left out of a variant
+    comes on top."""
     leave_one_out: bool = False
     """Also run the method without each of its parts; see :func:`variants`."""
     locate: LocateConfig = LocateConfig()
@@ -137,8 +138,8 @@ def build_method(config: MethodConfig, tools: Toolbox) -> Method:
     """
     check_method(config.method)
     makers: dict[str, Callable[[], Method]] = {
-        "gvr-robust": lambda: GVRRobust(tools, config.robust, config.background),
-        "lift": lambda: Lift(tools, config.lift, config.background),
+        "gvr-robust": lambda: GVRRobust(tools, config.robust, config.background, config.shown_name),
+        "lift": lambda: Lift(tools, config.lift, config.background, config.shown_name),
     }
     if config.method in makers:
         return makers[config.method]()

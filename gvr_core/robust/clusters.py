@@ -43,6 +43,10 @@ def cluster_candidates(
     points = points - np.median(points, axis=0)
     reach = max(reach, 1e-6 * float(np.abs(points).max()), np.finfo(np.float64).tiny)
     labels = DBSCAN(eps=reach, min_samples=least).fit(points).labels_
+    if labels.max() < 0:
+        # Few views look at opposite faces, a diameter apart, with none in between to link them.
+        reach *= 2
+        labels = DBSCAN(eps=reach, min_samples=least).fit(points).labels_
     return labels.astype(np.int64), reach
 
 

@@ -72,9 +72,9 @@ def segment_thing(work: Workplace, localization: Localization, index: int, text:
     if not config.soft_vote:
         return _intersection(work, coarse, above.view, ring)
     for view in ring:
-        _add_virtual(work, ballot, view, coarse, place.location)
+        _add_virtual(work, ballot, view, place.location)
     if above.coarse is not None:
-        _add_virtual(work, ballot, above.view, above.drawn, place.location)
+        _add_virtual(work, ballot, above.view, place.location)
     if ballot.views < LEAST_VOTING_VIEWS:
         return Segmented(coarse, coarse.astype(np.float32), above.view, ring)
     return _count(work, ballot, coarse, above.view, ring)
@@ -138,18 +138,14 @@ def spread_views(
 
 
 def _add_virtual(
-    work: Workplace,
-    ballot: Ballot,
-    view: VirtualView,
-    drawn: BoolArray,
-    location: Float64Array,
+    work: Workplace, ballot: Ballot, view: VirtualView, location: Float64Array
 ) -> None:
     """A virtual view votes on what it has drawn; without a detection it abstains."""
     if view.mask is None or view.mask.area == 0:
         return
     camera = view.frame.camera
     trust = max(LEAST_TRUST, view.mask.score) * work.pixel_area(camera, location)
-    ballot.add(work.weights(camera, view.mask.pixels, drawn), trust)
+    ballot.add(work.weights(camera, view.mask.pixels, view.frame.shown), trust)
 
 
 def _count(
@@ -176,14 +172,14 @@ def _intersection(
     Nobody votes then: neither the retrieved views, which only help to make the coarse set, nor
     the view from above.
     """
-    flags = coarse.copy()
+    flags, ballot = coarse.copy(), Ballot(len(coarse))
     for view in ring:
         if view.mask is None:
             flags[:] = False
             break
         flags &= work.keeps(view.frame.camera, view.mask.pixels, coarse)
+        ballot.add(work.weights(view.frame.camera, view.mask.pixels, view.frame.shown), 1.0)
     if work.config.cleanup and flags.any():
-        everything = np.ones(len(flags), np.bool_)
         means = work.scene.gaussians.means
-        flags = follow_neighbours(means, flags, everything, work.config.neighbours)
+        flags = follow_neighbours(means, flags, ballot.seen, work.config.neighbours)
     return Segmented(flags, flags.astype(np.float32), bev, ring)

@@ -25,8 +25,6 @@ class BirdsEye:
     """The view from above, and what it says."""
 
     view: VirtualView
-    drawn: BoolArray
-    """(N,) what it shows."""
     coarse: BoolArray | None
     """(N,) what its mask keeps; None where the view is not to be trusted."""
 
@@ -56,8 +54,8 @@ def birds_eye(work: Workplace, place: Place) -> BirdsEye:
     if config.bev_gate:
         seen = observed_share(scene, work.books.depths, frame, mask.pixels, config.observed_degrees)
         if seen < config.observed_share:
-            return BirdsEye(view, drawn, None)
-    return BirdsEye(view, drawn, work.keeps(camera, mask.pixels, drawn))
+            return BirdsEye(view, None)
+    return BirdsEye(view, work.keeps(camera, mask.pixels, drawn))
 
 
 def look_around(work: Workplace, coarse: BoolArray, place: Place, text: str) -> list[VirtualView]:
@@ -79,7 +77,7 @@ def look_around(work: Workplace, coarse: BoolArray, place: Place, text: str) -> 
     if config.ring_fit:
         low, high = np.percentile(target.means, EXTENT_PERCENTILES, axis=0)
         centre = (low + high) / 2
-        reach = np.linalg.norm(target.means - centre, axis=1)
+        reach = np.linalg.norm(target.means - centre, axis=1) + target.scales.max(axis=1)
         fits = float(np.percentile(reach, EXTENT_PERCENTILES[1]) / np.sin(lens.half_angle))
         distance = max(distance, fits)
     views = []
