@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from gvr_core.books import Books, DepthBook, PatchBook, SemanticVectorBook, ViewBook
 from gvr_core.cameras import Camera, intrinsics, look_at
-from gvr_core.methods.robust_config import RobustLocate
 from gvr_core.models.base import Mask
 from gvr_core.robust.candidates import (
     Candidate,
@@ -19,8 +18,9 @@ from gvr_core.robust.candidates import (
     place_candidate,
 )
 from gvr_core.robust.clusters import cluster_candidates, geometric_median, places_of
+from gvr_core.robust.config import RobustLocate
 from gvr_core.robust.locating import find_places
-from gvr_core.robust.relevancy import relevancy
+from gvr_core.robust.relevancy import contrast, relevancy
 from gvr_core.scene import View
 
 SIZE = (60, 80)
@@ -67,6 +67,24 @@ def test_relevancy_is_the_worst_pairwise_softmax() -> None:
         for f in features
     ]
     np.testing.assert_allclose(relevancy(features, text, negatives, 10.0), expected, rtol=1e-5)
+
+
+def test_contrast_is_the_softmax_against_the_scenes_typical_patch() -> None:
+    rng = np.random.default_rng(3)
+    vectors = rng.normal(size=(8, 5)).astype(np.float32)
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    features, text = vectors[:7], vectors[7]
+    cosines = sorted(float(f @ text) for f in features)
+    typical = np.exp(10 * cosines[3])
+    expected = [np.exp(10 * (f @ text)) / (np.exp(10 * (f @ text)) + typical) for f in features]
+    found = contrast(features, text, 10.0)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    # the typical patch itself is neither; and what is a little like everything is like nothing
+    assert np.sort(found)[3] == pytest.approx(0.5)
+    np.testing.assert_allclose(contrast(np.tile(text, (4, 1)), text, 10.0), 0.5)
+    assert (contrast(features, text, 20.0) > 0.5).sum() == 3
+    assert contrast(features[:0], text, 10.0).shape == (0,)
 
 
 def test_of_a_whole_and_its_part_the_whole_is_taken_once() -> None:
