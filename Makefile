@@ -8,7 +8,7 @@ READY := .venv/.ready
 help: ## List the commands
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-bench: $(READY) ## Run the main job: the paper's method, the robust one and a control on the gallery
+bench: $(READY) ## Run the main job: the paper's method and its control on the gallery
 	$(BIN)/gvr run bench
 
 test: $(READY) ## Run the tests, but for the slow ones
