@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.base import SceneData
+from gvr_core.exports import RED
 from gvr_core.gaussians import Gaussians
 from gvr_core.metrics import (
     FLAGS_3D,
@@ -28,9 +29,6 @@ Scored = dict[str, Any]
 
 VIEWS_LOOKED_THROUGH = 8
 """Without test views, about so many knowledge views are tried for a query's picture."""
-
-RED = (1.0, 0.0, 0.0)
-"""The colour that the paper dyes targets in."""
 
 
 def soft_prediction(

@@ -75,9 +75,9 @@ class GVRRobust:
         """(B) Every place at which the views agree; none where the object is not here."""
         encoder, features = self.tools.models.encoder, books.semantics.features
         text, *negatives = encoder.encode_texts([query.text, *NEGATIVES])
-        calibration, config = calibration_of(encoder.name), self.config
-        phrases = calibration.phrases if config.phrases is None else config.phrases
-        if config.canonical_negatives and phrases:
+        config = self.config
+        calibration = calibration_of(encoder.name, config.phrases)
+        if config.canonical_negatives and calibration.phrases:
             scores = relevancy(features, text, np.stack(negatives), config.temperature)
         else:
             scores = contrast(features, text, config.temperature)

@@ -23,7 +23,7 @@ from gvr_core.robust.ballot import UNSEEN, mask_weights
 from gvr_core.robust.calibration import calibration_of
 from gvr_core.robust.candidates import NEUTRAL
 from gvr_core.robust.config import NEGATIVES
-from gvr_core.robust.relevancy import softmax
+from gvr_core.robust.relevancy import over_phrases, over_typical, softmax
 from gvr_core.scene import Query, Scene
 from gvr_core.toolbox import Toolbox
 
@@ -151,14 +151,10 @@ class Lift:
 
     def _margin(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
         """How much more like the query each Gaussian (s, 1 + phrases) is than like anything."""
-        encoder = self.tools.models.encoder
-        phrases = self.config.phrases
-        if phrases is None:
-            phrases = calibration_of(encoder.name).phrases
-        if phrases:
-            return np.asarray(cosines[:, 0] - cosines[:, 1:].max(axis=1))
-        typical = np.median(cosines[:, 0]) if len(cosines) else 0.0
-        return np.asarray(cosines[:, 0] - typical)
+        calibration = calibration_of(self.tools.models.encoder.name, self.config.phrases)
+        if calibration.phrases:
+            return over_phrases(cosines[:, 0], cosines[:, 1:])
+        return over_typical(cosines[:, 0])
 
 
 def _lengths(weights: sparse.csr_matrix, features: NDArray[np.float32]) -> NDArray[np.float32]:

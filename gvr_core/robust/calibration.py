@@ -28,10 +28,12 @@ CALIBRATED = {"onboard-conse": Calibration(phrases=False, refuse_below=0.697)}
 seeds 1000 to 1005, which no suite reports."""
 
 
-def calibration_of(encoder_name: str) -> Calibration:
+def calibration_of(encoder_name: str, phrases: bool | None = None) -> Calibration:
     """How to read the encoder of that name.
 
     Args:
         encoder_name: The name with version and settings, e.g. ``"onboard-conse/1(...)"``.
+        phrases: A setting that stands in for what was measured; None for what was.
     """
-    return CALIBRATED.get(encoder_name.split("/")[0], UNCALIBRATED)
+    known = CALIBRATED.get(encoder_name.split("/")[0], UNCALIBRATED)
+    return known if phrases is None else known.model_copy(update={"phrases": phrases})

@@ -26,7 +26,7 @@ def relevancy(
     Returns:
         (M,) in (0, 1).
     """
-    return softmax(features @ text - (features @ negatives.T).max(axis=1), temperature)
+    return softmax(over_phrases(features @ text, features @ negatives.T), temperature)
 
 
 def contrast(features: FloatArray, text: FloatArray, temperature: float) -> FloatArray:
@@ -43,9 +43,17 @@ def contrast(features: FloatArray, text: FloatArray, temperature: float) -> Floa
     Returns:
         (M,) in (0, 1).
     """
-    cosines = features @ text
-    typical = np.float32(np.median(cosines)) if len(cosines) else np.float32(0)
-    return softmax(cosines - typical, temperature)
+    return softmax(over_typical(features @ text), temperature)
+
+
+def over_phrases(query: FloatArray, phrases: FloatArray) -> FloatArray:
+    """By how much cosines (M,) with the query exceed the best ones with phrases (M, p)."""
+    return np.asarray(query - phrases.max(axis=1))
+
+
+def over_typical(query: FloatArray) -> FloatArray:
+    """By how much cosines (M,) with the query exceed the median one."""
+    return np.asarray(query - np.median(query)) if len(query) else query
 
 
 def softmax(margin: FloatArray, temperature: float) -> FloatArray:
