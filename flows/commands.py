@@ -16,6 +16,7 @@ from gvr_core.atomic import atomic_write
 from gvr_core.errors import ConfigError, unknown_name
 from gvr_core.exports import EXPORTS, RED, parse_colour
 from gvr_core.methods import check_method
+from gvr_core.models.registry import require_weights
 from reports import tables
 from reports.document import replace_block
 from reports.mlflow_store import SyncError, default_tracking_uri
@@ -55,6 +56,8 @@ def run(
     """
     suite = override(read_suite(suite_name), methods, datasets, scenes, limit, models)
     resolve_scenes(suite.datasets)
+    for line in suite.lines():
+        require_weights(line.models)
 
     from flows.benchmark import run_benchmark
     from tasks.prefect_runtime import prefect_runtime

@@ -24,7 +24,14 @@ class ModelSet(ModelConfig):
 
 ORACLE = ModelSet(label="oracle", segmenter="oracle", encoder="oracle", text_segmenter="oracle")
 ONBOARD = ModelSet(label="onboard")
-BUNDLED = {models.label: models for models in (ORACLE, ONBOARD)}
+MOBILE_SAM = ModelSet(label="mobile-sam", segmenter="sam-onnx:mobile_sam")
+PAPER = ModelSet(
+    label="paper",
+    segmenter="sam:vit_h",
+    encoder="open_clip:ViT-B-16/laion2b_s34b_b88k",
+    text_segmenter="grounded_sam:swin_b",
+)
+BUNDLED = {models.label: models for models in (ORACLE, ONBOARD, MOBILE_SAM, PAPER)}
 """Sets that can be asked for by name whatever the suite has."""
 
 

@@ -8,13 +8,19 @@ import io
 import json
 import pickle
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
+from gvr_core.atomic import file_digest
 from gvr_core.errors import ModelError
 
 if TYPE_CHECKING:
     import torch
+
+_PARALLEL = "module."
+"""What training on several devices puts before every name."""
 
 
 def installed_file(package: str, relative: str) -> Path:
@@ -55,13 +61,89 @@ def verified_bytes(path: Path, sha256: str) -> bytes:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise ModelError(
-            f"cannot be read: {error.strerror}", path=path, accepted="a file of weights"
-        ) from error
+        raise _unreadable(path, error) from error
     found = hashlib.sha256(content).hexdigest()
     if found != sha256.lower():
-        raise ModelError(f"sha256 is {found}", path=path, accepted=f"sha256 {sha256}")
+        raise _other_digest(path, found, sha256)
     return content
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A file of weights, and what was in it when it was looked at."""
+
+    path: Path
+    sha256: str
+    """Digest of its content; its first digits stand in model names, and so in cache keys."""
+
+    @property
+    def tag(self) -> str:
+        """The digest, as short as model names show it."""
+        return self.sha256[:12]
+
+
+def checkpoint(path: Path, sha256: str | None = None) -> Checkpoint:
+    """Look at a file of weights without loading it.
+
+    Args:
+        path: The file.
+        sha256: Its expected digest; None for a file that nobody has stated one for.
+
+    Raises:
+        ModelError: if the file is missing or its digest differs.
+    """
+    path = path.expanduser().absolute()
+    try:
+        seen = path.stat()
+        found = _digest(path, seen.st_size, seen.st_mtime_ns, seen.st_ino)
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    if sha256 is not None and found != sha256.lower():
+        raise _other_digest(path, found, sha256)
+    return Checkpoint(path, found)
+
+
+@lru_cache(maxsize=64)
+def _digest(path: Path, size: int, changed_ns: int, inode: int) -> str:
+    """sha256 of a file, once for each state of it: checkpoints take seconds to read."""
+    return file_digest(path)
+
+
+def load_state(weights: Checkpoint) -> dict[str, torch.Tensor]:
+    """Tensors of a checkpoint: ``.safetensors``, or what ``torch.save`` wrote.
+
+    The file that is hashed is the file that is read, through one open handle. Wrappers that
+    training scripts add, ``{"model": ...}``, ``{"state_dict": ...}`` and a ``module.`` before
+    every name, are taken off.
+
+    Args:
+        weights: The checkpoint.
+
+    Returns:
+        Name -> tensor, on the CPU.
+
+    Raises:
+        ModelError: if the digest is not the checkpoint's, or the file holds more than tensors.
+    """
+    from safetensors import SafetensorError
+    from safetensors.torch import load
+
+    path = weights.path
+    try:
+        with path.open("rb") as file:
+            found = hashlib.file_digest(file, "sha256").hexdigest()
+            if found != weights.sha256.lower():
+                raise _other_digest(path, found, weights.sha256)
+            file.seek(0)
+            if path.suffix == ".safetensors":
+                return _unwrapped(load(file.read()), path)
+            return _unwrapped(_torch_load(file, path), path)
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    except SafetensorError as error:
+        raise ModelError(
+            f"not safetensors: {error}", path=path, accepted="a whole .safetensors file"
+        ) from error
 
 
 def load_torch_state(path: Path, sha256: str) -> Mapping[str, torch.Tensor]:
@@ -77,21 +159,54 @@ def load_torch_state(path: Path, sha256: str) -> Mapping[str, torch.Tensor]:
     Raises:
         ModelError: a wrong digest, a pickle that holds more than tensors, or another content.
     """
+    return _unwrapped(_torch_load(io.BytesIO(verified_bytes(path, sha256)), path), path)
+
+
+def _torch_load(file: BinaryIO, path: Path) -> Any:
     import torch
 
-    content = verified_bytes(path, sha256)
     try:
-        state: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
+        # Never without weights_only: a pickle is a program.
+        return torch.load(file, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ModelError(
+            f"refused, as reading it might run code that it holds: {reason}",
+            path=path,
+            accepted="plain tensors that torch.load(weights_only=True) reads, or .safetensors",
+        ) from error
+    except Exception as error:  # a damaged file makes the reader fail in any way
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ModelError(
             f"not a file of plain tensors: {reason}",
             path=path,
-            accepted="a state dict that torch.load(weights_only=True) reads",
+            accepted="a state dict that torch.load(weights_only=True) reads, or .safetensors",
         ) from error
-    if not isinstance(state, Mapping) or not all(torch.is_tensor(v) for v in state.values()):
+
+
+def _unwrapped(state: Any, path: Path) -> dict[str, torch.Tensor]:
+    import torch
+
+    for wrapper in ("state_dict", "model"):
+        if isinstance(state, Mapping) and isinstance(state.get(wrapper), Mapping):
+            state = state[wrapper]
+    if (
+        not isinstance(state, Mapping)
+        or not state
+        or not all(isinstance(k, str) and torch.is_tensor(v) for k, v in state.items())
+    ):
         raise ModelError("holds no mapping of names to tensors", path=path, accepted="a state dict")
-    return state
+    if all(name.startswith(_PARALLEL) for name in state):
+        return {name.removeprefix(_PARALLEL): tensor for name, tensor in state.items()}
+    return dict(state)
+
+
+def _unreadable(path: Path, error: OSError) -> ModelError:
+    return ModelError(f"cannot be read: {error.strerror}", path=path, accepted="a file of weights")
+
+
+def _other_digest(path: Path, found: str, expected: str) -> ModelError:
+    return ModelError(f"sha256 is {found}", path=path, accepted=f"sha256 {expected}")
 
 
 def load_safetensors(path: Path, sha256: str) -> Mapping[str, torch.Tensor]:

@@ -17,6 +17,7 @@ from gvr_core.models.imagenet import (
     class_names,
 )
 from gvr_core.models.sentence import SentenceEmbedder
+from gvr_core.models.text_memory import TextMemory
 
 
 class ConseSettings(BaseModel):
@@ -47,6 +48,7 @@ class ConseEncoder:
 
     def __init__(self, settings: ConseSettings | None = None) -> None:
         self._settings = settings or ConseSettings()
+        self._texts = TextMemory(lambda text: self._sentences.embed([text])[0], self.dim)
 
     @property
     def name(self) -> str:
@@ -92,7 +94,7 @@ class ConseEncoder:
         Raises:
             ModelError: if weights are missing or not those whose digests are pinned.
         """
-        return self._sentences.embed(texts)
+        return self._texts.vectors(texts)
 
     def combine(self, posterior: FloatArray) -> FloatArray:
         """The convex combination of ConSE, scaled to length 1.

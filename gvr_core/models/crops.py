@@ -21,23 +21,55 @@ CONTEXT_FACTOR = 1.5
 GREY = 127
 """Fills what is not shown. It is the zero of networks that take (value - 127) / 128."""
 
+Colour = tuple[int, int, int]
+"""Red, green and blue, 0 to 255."""
 
-def crop_patch(rgb8: NDArray[np.uint8], mask: Mask, mode: CropMode, size: int) -> NDArray[np.uint8]:
-    """One patch as a square picture; shorter sides are padded with grey, never stretched.
+GREY_FILL: Colour = (GREY, GREY, GREY)
+
+Interpolation = Literal["bicubic", "bilinear"]
+"""How pictures are resized; both with antialiasing."""
+
+_RESAMPLING = {
+    "bicubic": Image.Resampling.BICUBIC,
+    "bilinear": Image.Resampling.BILINEAR,
+}
+
+
+def crop_patch(
+    rgb8: NDArray[np.uint8],
+    mask: Mask,
+    mode: CropMode,
+    size: int,
+    fill: Colour = GREY_FILL,
+    interpolation: Interpolation = "bicubic",
+) -> NDArray[np.uint8]:
+    """One patch as a square picture; shorter sides are padded, never stretched.
 
     Args:
         rgb8: (H, W, 3) uint8, the whole picture.
-        mask: The patch; an empty one gives a grey picture.
+        mask: The patch; an empty one gives a picture of the filling colour.
         mode: What is shown of it.
         size: Side of the result, pixels.
+        fill: Colour of what is not shown.
+        interpolation: How the square is resized.
 
     Returns:
-        (size, size, 3) uint8, bicubic with antialiasing.
+        (size, size, 3) uint8.
     """
+    square = _square(rgb8, mask, mode, fill)
+    if square is None:
+        return np.full((size, size, 3), fill, np.uint8)
+    return np.asarray(Image.fromarray(square).resize((size, size), _RESAMPLING[interpolation]))
+
+
+def _square(
+    rgb8: NDArray[np.uint8], mask: Mask, mode: CropMode, fill: Colour
+) -> NDArray[np.uint8] | None:
+    """What is shown of a patch in the picture's own pixels; None where the patch is empty."""
     height, width = rgb8.shape[:2]
     x0, y0, x1, y1 = mask.box
     if x1 <= x0:
-        return np.full((size, size, 3), GREY, np.uint8)
+        return None
     if mode == "context":
         grow_x = round((x1 - x0) * (CONTEXT_FACTOR - 1) / 2)
         grow_y = round((y1 - y0) * (CONTEXT_FACTOR - 1) / 2)
@@ -45,16 +77,21 @@ def crop_patch(rgb8: NDArray[np.uint8], mask: Mask, mode: CropMode, size: int) -
         y0, y1 = max(0, y0 - grow_y), min(height, y1 + grow_y)
     content = rgb8[y0:y1, x0:x1]
     if mode == "masked":
-        content = np.where(mask.pixels[y0:y1, x0:x1, None], content, np.uint8(GREY))
+        content = np.where(mask.pixels[y0:y1, x0:x1, None], content, np.array(fill, np.uint8))
     side = max(x1 - x0, y1 - y0)
-    square = np.full((side, side, 3), GREY, np.uint8)
+    square = np.full((side, side, 3), fill, np.uint8)
     top, left = (side - content.shape[0]) // 2, (side - content.shape[1]) // 2
     square[top : top + content.shape[0], left : left + content.shape[1]] = content
-    return np.asarray(Image.fromarray(square).resize((size, size), Image.Resampling.BICUBIC))
+    return square
 
 
 def crop_patches(
-    rgb: FloatArray, masks: Sequence[Mask], mode: CropMode, size: int
+    rgb: FloatArray,
+    masks: Sequence[Mask],
+    mode: CropMode,
+    size: int,
+    fill: Colour = GREY_FILL,
+    interpolation: Interpolation = "bicubic",
 ) -> NDArray[np.uint8]:
     """All patches of a frame as square pictures.
 
@@ -63,6 +100,8 @@ def crop_patches(
         masks: The m patches, each of the picture's size.
         mode: What is shown of each.
         size: Side of the results, pixels.
+        fill: Colour of what is not shown.
+        interpolation: How the squares are resized.
 
     Returns:
         (m, size, size, 3) uint8.
@@ -77,7 +116,7 @@ def crop_patches(
             raise ModelError(
                 f"mask {i} has shape {mask.pixels.shape}", accepted=f"shape {rgb8.shape[:2]}"
             )
-        pictures[i] = crop_patch(rgb8, mask, mode, size)
+        pictures[i] = crop_patch(rgb8, mask, mode, size, fill, interpolation)
     return pictures
 
 

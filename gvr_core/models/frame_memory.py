@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gvr_core.models.base import FloatArray, Frame, Mask
+from gvr_core.models.recent import Recent
 
 MOST_BYTES = 128 * 2**20
 """Frames are forgotten, the oldest first, where more than this would be kept."""
@@ -70,10 +69,7 @@ class FrameMemory:
     """
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
-        self._most_bytes = most_bytes
-        self._frames: OrderedDict[bytes, SeenFrame] = OrderedDict()
-        self._bytes = 0
-        self._lock = Lock()
+        self._frames: Recent[SeenFrame] = Recent(most_bytes, lambda seen: seen.n_bytes)
 
     def recall(self, frame: Frame, look: Callable[[], SeenFrame]) -> SeenFrame:
         """What was found in a frame of the same content, or else what looking finds.
@@ -82,19 +78,7 @@ class FrameMemory:
             frame: The frame.
             look: Looks at it.
         """
-        key = content_key(frame)
-        with self._lock:
-            if key in self._frames:
-                self._frames.move_to_end(key)
-                return self._frames[key]
-        seen = look()
-        with self._lock:
-            if key not in self._frames:
-                self._frames[key] = seen
-                self._bytes += seen.n_bytes
-            while self._bytes > self._most_bytes and len(self._frames) > 1:
-                self._bytes -= self._frames.popitem(last=False)[1].n_bytes
-        return seen
+        return self._frames.recall(content_key(frame), look)
 
 
 def content_key(frame: Frame) -> bytes:

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from threading import RLock
+from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
 from gvr_core.errors import ConfigError, unknown_name
+from gvr_core.models import full_strength
 from gvr_core.models.base import Encoder, Models, Segmenter, TextSegmenter
 from gvr_core.models.conse import ConseEncoder, ConseSettings
+from gvr_core.models.devices import DeviceChoice
 from gvr_core.models.graph_segmenter import GraphSegmenter, GraphSettings
+from gvr_core.models.grounding_dino_config import GroundingDinoSettings
+from gvr_core.models.open_clip_encoder import OpenClipSettings
 from gvr_core.models.oracle import (
     OracleEncoder,
     OracleSegmenter,
@@ -21,6 +27,9 @@ from gvr_core.models.oracle import (
 )
 from gvr_core.models.random_encoder import RandomEncoder
 from gvr_core.models.ranked_proposals import RankedProposals, RankedSettings
+from gvr_core.models.sam_prompts import SamSettings, SparseSamSettings
+
+MadeBy = TypeVar("MadeBy")
 
 ORACLE = "oracle"
 """Name of the models that know the truth; they need a scene with 3D labels."""
@@ -32,26 +41,55 @@ class ModelConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     segmenter: str = "onboard-graph"
-    """Cuts pictures into patches; ``"oracle"`` knows the truth."""
+    """Cuts pictures into patches: ``"onboard-graph"``, ``"sam:vit_h"``, ``"sam-onnx:FOLDER"``;
+    ``"oracle"`` knows the truth."""
     encoder: str = "onboard-conse"
-    """Puts patches and texts into one space; ``"random:SEED"`` is the control, ``"oracle"`` knows
-    the truth."""
+    """Puts patches and texts into one space: ``"onboard-conse"``,
+    ``"open_clip:ViT-B-16/laion2b_s34b_b88k"``; ``"random:SEED"`` is the control, ``"oracle"``
+    knows the truth."""
     text_segmenter: str = "onboard-ranked"
-    """Text -> mask in one picture; ``"oracle"`` knows the truth."""
+    """Text -> mask in one picture: ``"onboard-ranked"``, ``"grounded_sam:swin_b"``; ``"oracle"``
+    knows the truth."""
+    device: DeviceChoice = "auto"
+    """Where networks of full strength compute; the onboard models use the processor."""
     graph: GraphSettings = GraphSettings()
     """Settings of ``"onboard-graph"``."""
     conse: ConseSettings = ConseSettings()
     """Settings of ``"onboard-conse"``."""
     ranked: RankedSettings = RankedSettings()
     """Settings of ``"onboard-ranked"``."""
+    sam: SamSettings = SamSettings()
+    """Settings of ``"sam:..."``."""
+    sam_onnx: SparseSamSettings = SparseSamSettings()
+    """Settings of ``"sam-onnx:..."``."""
+    open_clip: OpenClipSettings = OpenClipSettings()
+    """Settings of ``"open_clip:..."``."""
+    grounding_dino: GroundingDinoSettings = GroundingDinoSettings()
+    """Settings of ``"grounded_sam:..."``."""
 
 
-def _graph(config: ModelConfig) -> Segmenter:
-    return _graph_segmenter(config.graph)
+@dataclass(frozen=True)
+class Kind(Generic[MadeBy]):
+    """Models whose names are of one form."""
+
+    form: str
+    """How a name is written, as errors show it."""
+    pattern: str
+    """Regular expression of the whole name; its group, if it has one, goes to ``make``."""
+    make: MadeBy
+    """Makes the model from the configuration and the group."""
+
+    def rest(self, name: str) -> str | None:
+        """What a name says after its prefix; None for a name of another form."""
+        match = re.fullmatch(self.pattern, name)
+        return None if match is None else "".join(match.groups())
 
 
-def _conse(config: ModelConfig) -> Encoder:
-    return _conse_encoder(config.conse)
+SegmenterKind = Kind[Callable[["ModelConfig", str], Segmenter]]
+EncoderKind = Kind[Callable[["ModelConfig", str], Encoder]]
+TextSegmenterKind = Kind[Callable[["ModelConfig", str, Segmenter, Encoder], TextSegmenter]]
+
+# One model for each of its settings, so that lines of a suite share what it has loaded and seen.
 
 
 @lru_cache(maxsize=4)
@@ -64,35 +102,61 @@ def _conse_encoder(settings: ConseSettings) -> Encoder:
     return ConseEncoder(settings)
 
 
-def _random(name: str) -> Encoder | None:
-    """The control, where a name is of the form ``random:SEED``."""
-    match = re.fullmatch(r"random:(\d{1,18})", name)
-    return RandomEncoder(int(match.group(1))) if match else None
-
-
-def _ranked(config: ModelConfig, segmenter: Segmenter, encoder: Encoder) -> TextSegmenter:
-    # mypy cannot see that models are hashable, as all objects without an __eq__ are
-    return _ranked_proposals(segmenter, encoder, config.ranked)  # type: ignore[arg-type]
-
-
 @lru_cache(maxsize=4)
 def _ranked_proposals(
     segmenter: Segmenter, encoder: Encoder, settings: RankedSettings
 ) -> TextSegmenter:
-    """One for each pair of models, so that lines of a suite share the frames it remembers."""
     return RankedProposals(segmenter, encoder, settings)
 
 
-SEGMENTERS: dict[str, Callable[[ModelConfig], Segmenter]] = {"onboard-graph": _graph}
-"""Segmenters by name."""
+def _ranked(
+    config: ModelConfig, rest: str, segmenter: Segmenter, encoder: Encoder
+) -> TextSegmenter:
+    # mypy cannot see that models are hashable, as all objects without an __eq__ are
+    return _ranked_proposals(segmenter, encoder, config.ranked)  # type: ignore[arg-type]
 
-ENCODERS: dict[str, Callable[[ModelConfig], Encoder]] = {"onboard-conse": _conse}
-"""Encoders by name; ``random:SEED`` comes on top."""
 
-TEXT_SEGMENTERS: dict[str, Callable[[ModelConfig, Segmenter, Encoder], TextSegmenter]] = {
-    "onboard-ranked": _ranked
-}
-"""Text segmenters by name, made from the other two models."""
+SEGMENTERS: tuple[SegmenterKind, ...] = (
+    Kind("onboard-graph", "onboard-graph", lambda c, _: _graph_segmenter(c.graph)),
+    Kind(
+        "sam:vit_h (or vit_l, vit_b, a checkpoint's path)",
+        r"sam:(.+)",
+        lambda c, rest: full_strength.sam(rest, c.sam, c.device),
+    ),
+    Kind(
+        "sam-onnx:FOLDER",
+        r"sam-onnx:(.+)",
+        lambda c, rest: full_strength.sam_onnx(rest, c.sam_onnx),
+    ),
+)
+"""Segmenters by the form of their names; the oracle comes on top."""
+
+ENCODERS: tuple[EncoderKind, ...] = (
+    Kind("onboard-conse", "onboard-conse", lambda c, _: _conse_encoder(c.conse)),
+    Kind(
+        "open_clip:MODEL/TAG",
+        r"open_clip:(.+/[^/]+)",
+        lambda c, rest: full_strength.open_clip(rest, c.open_clip, c.device),
+    ),
+    Kind("random:SEED", r"random:(\d{1,18})", lambda _, rest: RandomEncoder(int(rest))),
+)
+"""Encoders by the form of their names; the oracle comes on top."""
+
+TEXT_SEGMENTERS: tuple[TextSegmenterKind, ...] = (
+    Kind("onboard-ranked", "onboard-ranked", _ranked),
+    Kind(
+        "grounded_sam:swin_b (or swin_t)",
+        r"grounded_sam:(swin_[bt])",
+        lambda c, rest, segmenter, _: full_strength.grounded_sam(
+            rest,
+            c.grounding_dino,
+            c.device,
+            segmenter,  # type: ignore[arg-type]  # see _ranked
+        ),
+    ),
+)
+"""Text segmenters by the form of their names, made with the other two models; the oracle comes
+on top."""
 
 _LOADING = RLock()
 """Two threads that want the same model wait for one loading."""
@@ -104,29 +168,34 @@ def needs_world(config: ModelConfig) -> bool:
 
 
 def check_models(config: ModelConfig) -> None:
-    """Refuse names that are not known, without loading anything.
+    """Refuse names that are not known, without looking at any file.
 
     Raises:
         ConfigError: listing the names that are.
     """
-    if config.segmenter not in (*SEGMENTERS, ORACLE):
-        raise unknown_name("segmenter", config.segmenter, [*SEGMENTERS, ORACLE])
-    if config.text_segmenter not in (*TEXT_SEGMENTERS, ORACLE):
-        raise unknown_name("text segmenter", config.text_segmenter, [*TEXT_SEGMENTERS, ORACLE])
-    if config.encoder not in (*ENCODERS, ORACLE) and _random(config.encoder) is None:
-        raise unknown_name("encoder", config.encoder, [*ENCODERS, ORACLE, "random:SEED"])
+    roles: list[tuple[str, str, Sequence[Kind[Any]]]] = [
+        ("segmenter", config.segmenter, SEGMENTERS),
+        ("encoder", config.encoder, ENCODERS),
+        ("text segmenter", config.text_segmenter, TEXT_SEGMENTERS),
+    ]
+    for role, name, kinds in roles:
+        if name != ORACLE and all(kind.rest(name) is None for kind in kinds):
+            raise unknown_name(role, name, [ORACLE, *(kind.form for kind in kinds)])
 
 
 def build_models(config: ModelConfig | None = None, world: OracleWorld | None = None) -> Models:
-    """The models of a configuration. Weights are loaded once a process and then shared.
+    """The models of a configuration, made once a process and then shared.
+
+    Files of weights are looked for and their digests taken; they are loaded when a model is
+    first asked something. So a run whose stages are all cached needs no more than the digests.
 
     Args:
         config: Names and settings; the onboard models where none is given.
         world: The truth of the scene, where a model is an oracle.
 
     Raises:
-        ConfigError: for a name that is not known, listing those that are, or an oracle without
-            a truth.
+        ConfigError: for a name that is not known, listing those that are, an oracle without a
+            truth, or a device that is not there.
         ModelError: for weights that are missing or wrong.
     """
     config = config or ModelConfig()
@@ -141,16 +210,31 @@ def build_models(config: ModelConfig | None = None, world: OracleWorld | None = 
         return Models(segmenter, encoder, _text_segmenter(config, world, segmenter, encoder))
 
 
+def require_weights(config: ModelConfig) -> None:
+    """Refuse models whose weights are not there, before anything else is done.
+
+    Raises:
+        ConfigError: as :func:`build_models`.
+        ModelError: naming the file that is missing or wrong, and how to get it.
+    """
+    roles = ("segmenter", "encoder", "text_segmenter")
+    known = {role: ModelConfig.model_fields[role].default for role in roles}
+    oracles = {role: known[role] for role in roles if getattr(config, role) == ORACLE}
+    build_models(config.model_copy(update=oracles))
+
+
 def _segmenter(config: ModelConfig, world: OracleWorld | None) -> Segmenter:
     if world is not None and config.segmenter == ORACLE:
         return OracleSegmenter(world)
-    return SEGMENTERS[config.segmenter](config)
+    make, rest = _kind_of(config.segmenter, SEGMENTERS)
+    return make(config, rest)
 
 
 def _encoder(config: ModelConfig, world: OracleWorld | None) -> Encoder:
     if world is not None and config.encoder == ORACLE:
         return OracleEncoder(world)
-    return _random(config.encoder) or ENCODERS[config.encoder](config)
+    make, rest = _kind_of(config.encoder, ENCODERS)
+    return make(config, rest)
 
 
 def _text_segmenter(
@@ -158,4 +242,10 @@ def _text_segmenter(
 ) -> TextSegmenter:
     if world is not None and config.text_segmenter == ORACLE:
         return OracleTextSegmenter(world)
-    return TEXT_SEGMENTERS[config.text_segmenter](config, segmenter, encoder)
+    make, rest = _kind_of(config.text_segmenter, TEXT_SEGMENTERS)
+    return make(config, rest, segmenter, encoder)
+
+
+def _kind_of(name: str, kinds: Sequence[Kind[MadeBy]]) -> tuple[MadeBy, str]:
+    """What makes the model of a name, and what the name says after its prefix."""
+    return next((k.make, rest) for k in kinds if (rest := k.rest(name)) is not None)

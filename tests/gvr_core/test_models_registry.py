@@ -68,7 +68,7 @@ def test_the_control_is_named_with_its_seed() -> None:
     ("field", "value", "known"),
     [
         ("segmenter", "sam9", "onboard-graph"),
-        ("encoder", "clipp", "onboard-conse, oracle, random:SEED"),
+        ("encoder", "clipp", "onboard-conse, open_clip:MODEL/TAG, oracle, random:SEED"),
         ("encoder", "random:", "random:SEED"),
         ("encoder", "random:-1", "random:SEED"),
         ("text_segmenter", "dino", "onboard-ranked"),

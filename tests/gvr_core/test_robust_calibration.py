@@ -25,7 +25,7 @@ def test_what_nobody_has_calibrated_is_read_like_clip(name: str) -> None:
 
 
 def test_calibrated_encoders_are_ones_that_there_are() -> None:
-    assert set(CALIBRATED) <= set(ENCODERS)
+    assert set(CALIBRATED) <= {kind.form for kind in ENCODERS}
     encoder = build_models(ModelConfig(encoder="onboard-conse")).encoder
     assert calibration_of(encoder.name) is CALIBRATED["onboard-conse"]
 
