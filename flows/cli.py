@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from flows import commands
+from flows.models_cli import models_app
 from flows.places import results_root, store_root
 from flows.suite import DEFAULT_SUITE
 from gvr_core.errors import GVRError, InputError
@@ -28,6 +29,7 @@ app = typer.Typer(
 )
 cache_app = typer.Typer(help="Look after the artifact store.", no_args_is_help=True)
 app.add_typer(cache_app, name="cache")
+app.add_typer(models_app, name="models")
 
 StoreOption = Annotated[
     Path | None, typer.Option("--store", help="Artifact store; GVR_STORE, else .gvr/store.")
@@ -48,7 +50,9 @@ def run(
     ] = None,
     models: Annotated[
         list[str] | None,
-        typer.Option(help="Only these models (oracle, onboard, or the suite's own labels)."),
+        typer.Option(
+            help="Only these models: oracle, onboard, mobile-sam, paper, or the suite's own."
+        ),
     ] = None,
     dataset: Annotated[
         list[str] | None, typer.Option(help="Only this data set; may be given more than once.")
@@ -102,6 +106,9 @@ def ground(
     dye: Annotated[
         str | None, typer.Option(help="Colour of --export dyed, such as #00ff00; red if left out.")
     ] = None,
+    models: Annotated[
+        str, typer.Option(help="onboard, mobile-sam or paper: see `gvr models ls`.")
+    ] = "onboard",
     out: Annotated[Path, typer.Option(help="Folder of the files.")] = Path("grounded"),
     max_views: Annotated[
         int | None, typer.Option(help="Use only so many cameras, evenly spaced.")
@@ -127,6 +134,7 @@ def ground(
         max_views,
         store or store_root(),
         progress=not quiet,
+        models=models,
     )
 
 

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from datasets.own import own_scene
+from flows.lines import ONBOARD, bundled_models
 from flows.places import home
 from flows.suite import override, read_suite, resolve_scenes
 from gvr_core.atomic import atomic_write
@@ -91,14 +92,18 @@ def ground(
     max_views: int | None,
     store: Path,
     progress: bool,
+    models: str = ONBOARD.label,
 ) -> None:
     """``gvr ground``: one scene of one's own.
 
     Raises:
-        ConfigError: for a method, export, colour or folder that cannot be used; nothing is
-            computed then.
+        ConfigError: for a method, set of models, export, colour or folder that cannot be used;
+            nothing is computed then.
+        ModelError: for weights that are missing.
     """
     check_method(method)
+    chosen = bundled_models(models)
+    require_weights(chosen)
     for kind in exports:
         if kind not in EXPORTS:
             raise unknown_name("export", kind, EXPORTS)
@@ -112,7 +117,7 @@ def ground(
 
     check_out(data, splat, out, exports)
     with prefect_runtime(Store(store), home=home() / "prefect"):
-        answers = ground_own(data, splat, method, out, store, exports, rgb, progress)
+        answers = ground_own(data, splat, method, out, store, exports, rgb, progress, chosen)
     table = Table("query", "found", "Gaussians", "location", "files", box=None)
     for answer in answers:
         place = "-" if answer.location is None else " ".join(f"{x:.3g}" for x in answer.location)

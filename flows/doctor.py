@@ -47,6 +47,7 @@ def examine(store: Path) -> Iterator[Finding]:
         "store": lambda: _store(store),
         "renderer": _renderer,
         "onboard models": _models,
+        "full-strength models": _checkpoints,
         "photographs": _photographs,
         "splats": _splats,
     }
@@ -128,6 +129,20 @@ def _models() -> tuple[State, str]:
     near, far = float(vectors[0] @ vectors[1]), float(vectors[0] @ vectors[2])
     state: State = "ok" if near > far else "bad"
     return state, f"cat-kitten {near:.2f} > cat-rocket {far:.2f} ({models.encoder.dim} dimensions)"
+
+
+def _checkpoints() -> tuple[State, str]:
+    """What the models folder holds; a benchmark needs none of it to start with."""
+    from gvr_core.models.devices import pick_device
+    from gvr_core.weights.folder import State as FileState
+    from gvr_core.weights.folder import models_folder, overall, stored
+    from gvr_core.weights.manifest import known
+
+    folder = models_folder()
+    states = {name: overall(stored(entry, folder)) for name, entry in known(folder).items()}
+    here = [name for name, state in states.items() if state is FileState.PRESENT]
+    text = f"{len(here)} of {len(states)} in {folder}; networks compute on {pick_device()}"
+    return "ok" if here else "note", text
 
 
 def _photographs() -> tuple[State, str]:

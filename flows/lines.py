@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from pydantic import Field
 
-from gvr_core.errors import ConfigError
+from gvr_core.errors import ConfigError, unknown_name
 from gvr_core.methods import MethodConfig, variants
 from gvr_core.models.registry import ModelConfig
 
@@ -33,6 +33,17 @@ PAPER = ModelSet(
 )
 BUNDLED = {models.label: models for models in (ORACLE, ONBOARD, MOBILE_SAM, PAPER)}
 """Sets that can be asked for by name whatever the suite has."""
+
+
+def bundled_models(label: str) -> ModelConfig:
+    """The models of a bundled set.
+
+    Raises:
+        ConfigError: for a label that no bundled set has.
+    """
+    if label not in BUNDLED:
+        raise unknown_name("set of models", label, BUNDLED)
+    return ModelConfig.model_validate(BUNDLED[label].model_dump(exclude={"label"}))
 
 
 @dataclass(frozen=True)

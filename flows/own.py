@@ -18,9 +18,10 @@ from gvr_core.atomic import atomic_write, file_digest
 from gvr_core.errors import ConfigError, SplatFormatError
 from gvr_core.exports import RED, RGB, write_dyed, write_indices, write_target, write_without
 from gvr_core.methods import MethodConfig
+from gvr_core.models.registry import ModelConfig
 from gvr_core.scene import Query
 from tasks.groundings import Answer, unpack_answers
-from tasks.stages import run_stages
+from tasks.stages import SceneJob, run_stages
 from tasks.store import Store
 
 SUMMARY = "answers.json"
@@ -58,6 +59,7 @@ def ground_own(
     exports: Sequence[str] = ("target",),
     dye: RGB = RED,
     progress: bool = False,
+    models: ModelConfig | None = None,
 ) -> list[OwnAnswer]:
     """Ground every query of a scene of one's own, and write the answers.
 
@@ -81,6 +83,7 @@ def ground_own(
         exports: Kinds of export.
         dye: Colour of the target in ``dyed``, channels in [0, 1].
         progress: Show progress bars.
+        models: Which models; the onboard ones where none are given.
 
     Raises:
         ConfigError: for a method that is not known, or a file that cannot be written.
@@ -89,7 +92,7 @@ def ground_own(
     """
     config = MethodConfig(method=method)
     with Progress(shown=progress) as bars:
-        job = make_job(data, config, Store(store), progress=bars)
+        job = make_job(data, config, Store(store), models, progress=bars)
         runs = run_stages(job)
     given = unpack_answers(job.store.load_arrays(runs["segment"]["groundings"]))
     if file_digest(splat) != data.digests["gaussians"]:
@@ -107,7 +110,7 @@ def ground_own(
         for query, answer in zip(job.queries, given, strict=True):
             picture = job.store.path(runs["evaluate"][f"picture.{query.id}"])
             answers.append(_write_answer(query, answer, splat, picture, out, chosen))
-        _write_summary(out, data, splat, method, answers)
+        _write_summary(out, splat, job, answers)
     except OSError as error:
         raise ConfigError(
             f"the answers cannot be written: {error.strerror or error}",
@@ -176,14 +179,13 @@ def _write_answer(
     )
 
 
-def _write_summary(
-    out: Path, data: SceneData, splat: Path, method: str, answers: Sequence[OwnAnswer]
-) -> None:
+def _write_summary(out: Path, splat: Path, job: SceneJob, answers: Sequence[OwnAnswer]) -> None:
     summary = {
         "splat": splat.name,
-        "sha256": data.digests["gaussians"],
-        "n_gaussians": len(data.scene.gaussians),
-        "method": method,
+        "sha256": job.data.digests["gaussians"],
+        "n_gaussians": len(job.data.scene.gaussians),
+        "method": job.method.method,
+        "models": job.model_names(),
         "answers": [asdict(answer) for answer in answers],
     }
     text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)

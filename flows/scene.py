@@ -191,7 +191,6 @@ def _outcome(line: Line, job: SceneJob, runs: dict[str, StageRun]) -> SceneOutco
         )
         for scored in job.store.load_json(runs["evaluate"]["rows"])
     )
-    models = job.tools.models
     seconds = [sum(outcome.seconds.values()) for outcome in queries]
     camera = scene.views[0].camera
     result = SceneResult(
@@ -201,12 +200,7 @@ def _outcome(line: Line, job: SceneJob, runs: dict[str, StageRun]) -> SceneOutco
         n_views=len(scene.views),
         n_patches=int(runs["masks"].record.detail["n_patches"]),
         picture_size=(camera.width, camera.height),
-        models={
-            "renderer": job.tools.renderer.name,
-            "segmenter": models.segmenter.name,
-            "encoder": models.encoder.name,
-            "text_segmenter": models.text_segmenter.name,
-        },
+        models=job.model_names(),
         digests=dict(job.data.digests),
         prepare_seconds=sum(runs[stage].record.seconds for stage in PREPARATION),
         query_seconds=sum(seconds) / len(seconds) if seconds else 0.0,

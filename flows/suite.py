@@ -148,8 +148,8 @@ def override(
         datasets: Run only these; the suite's own settings are kept where it has the data set.
         scenes: Run only these scenes.
         limit: Only the first so many queries of each scene.
-        models: Run only with these: labels of the suite's model sets, or ``oracle`` or
-            ``onboard``.
+        models: Run only with these: labels of the suite's model sets, or of bundled
+            ones (:data:`flows.lines.BUNDLED`).
 
     Raises:
         ConfigError: for a name that does not exist.

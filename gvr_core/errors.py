@@ -76,6 +76,18 @@ class StoreError(GVRError):
     """The artifact store holds something damaged, or something that is not ours."""
 
 
+def some_of(names: Iterable[str], most: int = 3) -> str:
+    """The first few names, and how many more there are.
+
+    Args:
+        names: What an error is about.
+        most: How many are named.
+    """
+    listed = list(names)
+    more = f" and {len(listed) - most} more" if len(listed) > most else ""
+    return ", ".join(listed[:most]) + more
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:
     """The error for a name that is not registered, listing those that are.
 

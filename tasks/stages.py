@@ -65,17 +65,24 @@ class SceneJob:
         """Data set and scene, for the names of task runs."""
         return f"{self.data.scene.dataset}/{self.data.scene.name}"
 
-    def config(self) -> dict[str, Any]:
-        """The whole configuration that results depend on, as JSON values."""
+    def model_names(self) -> dict[str, str]:
+        """Renderer and models, each with version, settings and digests of its weights."""
         models = self.tools.models
         return {
-            "method": self.method.method,
-            **self.method.settings(),
             "renderer": self.tools.renderer.name,
             "segmenter": models.segmenter.name,
             "encoder": models.encoder.name,
-            "calibration": calibration_of(models.encoder.name).model_dump(mode="json"),
             "text_segmenter": models.text_segmenter.name,
+        }
+
+    def config(self) -> dict[str, Any]:
+        """The whole configuration that results depend on, as JSON values."""
+        encoder = self.tools.models.encoder.name
+        return {
+            "method": self.method.method,
+            **self.method.settings(),
+            **self.model_names(),
+            "calibration": calibration_of(encoder).model_dump(mode="json"),
             "protocols": [IN_SCENE_2D, FLAGS_3D, REFUSAL],
         }
 

@@ -9,15 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gvr_core.errors import ModelError
-
-CONFIG = "config.json"
-"""Sizes of the network."""
-
-VOCABULARIES = ("tokenizer.json", "vocab.txt")
-"""Files that hold the vocabulary; one is enough, and the first goes before the second."""
-
-TOKENIZER_OPTIONS = ("tokenizer_config.json", "special_tokens_map.json", "added_tokens.json")
-"""Files that change how texts are cut into tokens, where they are there."""
+from gvr_core.models.transformers_files import NETWORK_CONFIG, TOKENIZER_OPTIONS, VOCABULARIES
 
 
 @dataclass(frozen=True)
@@ -68,7 +60,7 @@ class BertFolder:
         except Exception as error:  # a wrong size can fail anywhere in the network's making
             raise ModelError(
                 f"no BERT can be made of it: {error}",
-                path=self.path / CONFIG,
+                path=self.path / NETWORK_CONFIG,
                 accepted="the configuration of a BERT",
             ) from error
 
@@ -88,23 +80,23 @@ def bert_folder(path: Path, fetch: str = "") -> BertFolder:
         ModelError: if it lacks its configuration or a vocabulary, or is another network's.
     """
     path = path.expanduser().absolute()
-    accepted = f"a folder with {CONFIG} and {' or '.join(VOCABULARIES)}"
+    accepted = f"a folder with {NETWORK_CONFIG} and {' or '.join(VOCABULARIES)}"
     accepted += f"; `{fetch}` brings one" if fetch else ""
     if not path.is_dir():
         raise ModelError("no such BERT folder", path=path, accepted=accepted)
     if not any((path / name).is_file() for name in VOCABULARIES):
         raise ModelError(f"lacks {' and '.join(VOCABULARIES)}", path=path, accepted=accepted)
     digest = hashlib.sha256()
-    for name in (CONFIG, *VOCABULARIES, *TOKENIZER_OPTIONS):
+    for name in (NETWORK_CONFIG, *VOCABULARIES, *TOKENIZER_OPTIONS):
         try:
             content = (path / name).read_bytes()
         except FileNotFoundError as error:
-            if name == CONFIG:
-                raise ModelError(f"lacks {CONFIG}", path=path, accepted=accepted) from error
+            if name == NETWORK_CONFIG:
+                raise ModelError(f"lacks {NETWORK_CONFIG}", path=path, accepted=accepted) from error
             continue
         except OSError as error:
             raise ModelError(f"cannot be read: {error.strerror}", path=path / name) from error
-        if name == CONFIG:
+        if name == NETWORK_CONFIG:
             _check_kind(path / name, content)
         digest.update(f"{name} {len(content)}\n".encode())
         digest.update(content)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
-from gvr_core.errors import ModelError, unknown_name
+from gvr_core.errors import ModelError
 from gvr_core.models.base import Encoder, Segmenter, TextSegmenter
 from gvr_core.models.checkpoints import Checkpoint, checkpoint
 from gvr_core.models.devices import DeviceChoice
@@ -20,27 +20,28 @@ from gvr_core.models.sam_torch import TorchSam
 from gvr_core.weights.folder import located, models_folder
 
 CHECKPOINT_ENDINGS = (".pth", ".pt", ".safetensors")
-"""Files that a name may give in place of a published model."""
+"""Of files, which a name may give in place of a published model."""
 
 
 def sam(which: str, settings: SamSettings, device: DeviceChoice) -> Segmenter:
     """Segment Anything through its own library.
 
     Args:
-        which: ``vit_h``, ``vit_l`` or ``vit_b``, from the models folder, or a checkpoint's path.
+        which: ``vit_h``, ``vit_l`` or ``vit_b``, or another name in a manifest of the models
+            folder, or a checkpoint's path.
         settings: Of the automatic masks.
         device: Where to compute.
 
     Raises:
-        ConfigError: for another name, or a device that is not there.
-        ModelError: for a checkpoint that is missing or has another digest than is stated.
+        ConfigError: for a device that is not there.
+        ModelError: for a name that no manifest has, or a checkpoint that is missing or has
+            another digest than is stated.
     """
-    if which in VARIANTS:
-        found = located(f"sam:{which}")[0]
-        return _sam(checkpoint(found.path, found.sha256), which, settings, device)
-    if not which.endswith(CHECKPOINT_ENDINGS):
-        raise unknown_name("SAM", which, [*VARIANTS, "a path to a .pth, .pt or .safetensors file"])
-    return _sam(checkpoint(Path(which)), None, settings, device)
+    if which.endswith(CHECKPOINT_ENDINGS):
+        return _sam(checkpoint(Path(which)), None, settings, device)
+    found = located(f"sam:{which}")[0]
+    variant = which if which in VARIANTS else None
+    return _sam(checkpoint(found.path, found.sha256), variant, settings, device)
 
 
 @lru_cache(maxsize=2)
@@ -102,11 +103,10 @@ def _open_clip(
     return OpenClipEncoder(model, tag, weights, settings, device)
 
 
-@lru_cache(maxsize=2)
 def grounded_sam(
     variant: str, settings: GroundingDinoSettings, device: DeviceChoice, segmenter: Segmenter
 ) -> TextSegmenter:
-    """Grounding DINO, whose boxes prompt a segmenter.
+    """Grounding DINO, whose boxes prompt a segmenter; its network is loaded once a process.
 
     Args:
         variant: ``swin_b`` or ``swin_t``.

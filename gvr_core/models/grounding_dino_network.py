@@ -10,7 +10,7 @@ from threading import RLock
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from gvr_core.errors import ModelError
+from gvr_core.errors import ModelError, some_of
 from gvr_core.models.bert_folder import BertFolder
 from gvr_core.models.checkpoints import Checkpoint, load_state
 
@@ -23,9 +23,6 @@ SEPARATORS = ".?"
 PUBLISHED_EXTRAS = ("label_enc.weight", "bert.embeddings.position_ids")
 """What the published checkpoints hold besides: an embedding for training, and a buffer that
 transformers 4.31 and later no longer store."""
-
-STATED = 3
-"""How many tensors an error names."""
 
 _BUILDING = RLock()
 """Building replaces functions of the library for a moment: one thread at a time."""
@@ -151,7 +148,7 @@ def _fill(network: Any, state: dict[str, torch.Tensor], weights: Checkpoint, var
         if name in state and state[name].shape != own[name].shape
     ]
     kinds = (("lacks", missing), ("has unknown", unknown), ("differs in size:", unequal))
-    faults = [f"{kind} {_some(names)}" for kind, names in kinds if names]
+    faults = [f"{kind} {some_of(names)}" for kind, names in kinds if names]
     if faults:
         raise ModelError(
             f"is no checkpoint of this {variant}: it " + "; it ".join(faults),
@@ -159,11 +156,6 @@ def _fill(network: Any, state: dict[str, torch.Tensor], weights: Checkpoint, var
             accepted="a checkpoint of the same variant, configuration keys and BERT folder",
         )
     network.load_state_dict({k: v for k, v in state.items() if k in own}, strict=False)
-
-
-def _some(names: list[str]) -> str:
-    more = f" and {len(names) - STATED} more" if len(names) > STATED else ""
-    return ", ".join(names[:STATED]) + more
 
 
 def _quieten() -> None:

@@ -13,15 +13,7 @@ from typing import Any
 
 from gvr_core.errors import ModelError
 from gvr_core.models.checkpoints import installed_file
-
-NETWORK_CONFIG = "config.json"
-"""Sizes of a text tower that is a network of ``transformers``."""
-
-VOCABULARIES = ("tokenizer.json", "vocab.txt")
-"""Files that hold a tokenizer's vocabulary; one is enough."""
-
-TOKENIZER_OPTIONS = ("tokenizer_config.json", "special_tokens_map.json", "added_tokens.json")
-"""Files that change how texts are cut into tokens, where they are there."""
+from gvr_core.models.transformers_files import NETWORK_CONFIG, TOKENIZER_OPTIONS, VOCABULARIES
 
 _FORMAT = 'open_clip\'s JSON: {"embed_dim": 512, "vision_cfg": {...}, "text_cfg": {...}}'
 _DEFAULT_SIZE = 224

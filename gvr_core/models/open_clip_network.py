@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gvr_core.errors import ModelError
+from gvr_core.errors import ModelError, some_of
 from gvr_core.models.base import FloatArray
 from gvr_core.models.checkpoints import Checkpoint, load_state
 from gvr_core.models.cpu_workers import cpu_workers
@@ -250,7 +250,7 @@ def _fill(model: Any, state: dict[str, torch.Tensor], path: Path, model_name: st
         },
     }
     if any(wrong.values()):
-        parts = [f"{what}: {_some(names)}" for what, names in wrong.items() if names]
+        parts = [f"{what}: {some_of(sorted(names))}" for what, names in wrong.items() if names]
         raise ModelError(
             f"does not fit {model_name}; {'; '.join(parts)}", path=path, accepted=accepted
         )
@@ -269,9 +269,3 @@ def _converted(model: Any, state: dict[str, torch.Tensor]) -> dict[str, torch.Te
     towers.resize_pos_embed(state, model)
     towers.resize_text_pos_embed(state, model)
     return state
-
-
-def _some(names: set[str], most: int = 3) -> str:
-    """The first few names, and how many more there are."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(sorted(names)[:most]) + more

@@ -148,10 +148,7 @@ TEXT_SEGMENTERS: tuple[TextSegmenterKind, ...] = (
         "grounded_sam:swin_b (or swin_t)",
         r"grounded_sam:(swin_[bt])",
         lambda c, rest, segmenter, _: full_strength.grounded_sam(
-            rest,
-            c.grounding_dino,
-            c.device,
-            segmenter,  # type: ignore[arg-type]  # see _ranked
+            rest, c.grounding_dino, c.device, segmenter
         ),
     ),
 )

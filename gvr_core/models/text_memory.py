@@ -2,41 +2,37 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from threading import Lock
+from functools import partial
 
 import numpy as np
 
 from gvr_core.models.base import FloatArray
+from gvr_core.models.recent import Recent
 
-MOST_TEXTS = 4096
-"""Texts that are kept: 16 MB of vectors of length 1024."""
+MOST_BYTES = 16 * 2**20
+"""Of vectors that are kept: 4096 texts at c = 1024."""
 
 
 class TextMemory:
-    """Vectors of the last texts; those not asked for longest are forgotten first.
+    """Vectors of the last texts.
 
     A vector belongs to its text alone: texts are encoded one at a time, since what stands beside
     a text in a batch tints the last digits of its vector (half precision: the third), and then
     results would depend on which queries came before.
 
-    Threads may share it. Two that miss the same text at once both encode it, and agree.
-
     Args:
         encode: Gives the vector (c,) of one text.
         dim: c.
-        most: Limit of what is kept, texts.
+        most_bytes: Limit of what is kept.
     """
 
     def __init__(
-        self, encode: Callable[[str], FloatArray], dim: int, most: int = MOST_TEXTS
+        self, encode: Callable[[str], FloatArray], dim: int, most_bytes: int = MOST_BYTES
     ) -> None:
         self._encode = encode
         self._dim = dim
-        self._most = most
-        self._vectors: OrderedDict[str, FloatArray] = OrderedDict()
-        self._lock = Lock()
+        self._known: Recent[FloatArray] = Recent(most_bytes, lambda vector: vector.nbytes)
 
     def vectors(self, texts: Sequence[str]) -> FloatArray:
         """Vectors of texts, from memory where they are there.
@@ -48,26 +44,10 @@ class TextMemory:
             (t, c) float32, the caller's own.
         """
         rows = np.empty((len(texts), self._dim), np.float32)
-        new: dict[str, FloatArray] = {}  # outlives the memory, where a call asks for more
         for row, text in zip(rows, texts, strict=True):
-            vector = new.get(text)
-            if vector is None:
-                vector = self._known(text)
-            if vector is None:
-                vector = new[text] = self._encode(text)
-                self._keep(text, vector)
-            row[:] = vector
+            row[:] = self._known.recall(text.encode(), partial(self._vector, text))
         return rows
 
-    def _known(self, text: str) -> FloatArray | None:
-        with self._lock:
-            if text in self._vectors:
-                self._vectors.move_to_end(text)
-            return self._vectors.get(text)
-
-    def _keep(self, text: str, vector: FloatArray) -> None:
-        kept = np.array(vector, np.float32)  # a row of a larger array would keep all of it
-        with self._lock:
-            self._vectors[text] = kept
-            while len(self._vectors) > self._most:
-                self._vectors.popitem(last=False)
+    def _vector(self, text: str) -> FloatArray:
+        # A copy: a row of a larger array would keep all of it.
+        return np.array(self._encode(text), np.float32)

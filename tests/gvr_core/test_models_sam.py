@@ -17,7 +17,7 @@ from skimage.transform import resize
 from tiny_sam import CHANNELS, save_tiny_sam, tiny_sam
 
 from gvr_core.cameras import Camera, intrinsics, look_at
-from gvr_core.errors import ConfigError, ModelError
+from gvr_core.errors import ModelError
 from gvr_core.models import full_strength
 from gvr_core.models.base import Frame, Mask
 from gvr_core.models.checkpoints import checkpoint
@@ -319,7 +319,7 @@ def test_a_file_can_stand_in_for_a_published_model(weights: Path) -> None:
     made = full_strength.sam(str(weights), LENIENT, "cpu")
     assert made is full_strength.sam(str(weights), LENIENT, "cpu")
     assert made.name == segmenter(weights).name
-    with pytest.raises(ConfigError, match=r"vit_b, vit_h, vit_l"):
+    with pytest.raises(ModelError, match=r"sam:vit_h"):
         full_strength.sam("vit_x", LENIENT, "cpu")
     with pytest.raises(ModelError, match=r"absent\.pth"):
         full_strength.sam("absent.pth", LENIENT, "cpu")
