@@ -61,15 +61,24 @@ def sam_onnx(where: str, settings: SparseSamSettings) -> Segmenter:
     Raises:
         ModelError: for a folder without the two graphs.
     """
+    return _sam_onnx(OnnxSam.files(onnx_folder(where)), settings)
+
+
+def onnx_folder(where: str) -> Path:
+    """The folder that a name means: from here, else from the models folder.
+
+    Raises:
+        ModelError: where neither is there.
+    """
     given = Path(where).expanduser()
     places = [given.absolute(), models_folder().absolute() / given]
-    folder = next((place for place in places if place.is_dir()), None)
-    if folder is None:
-        raise ModelError(
-            f"there is no folder {' or '.join(map(str, dict.fromkeys(places)))}",
-            accepted="a folder with encoder.onnx and decoder.onnx, here or under GVR_MODELS",
-        )
-    return _sam_onnx(OnnxSam.files(folder), settings)
+    for place in places:
+        if place.is_dir():
+            return place
+    raise ModelError(
+        f"there is no folder {' or '.join(map(str, dict.fromkeys(places)))}",
+        accepted="a folder with encoder.onnx and decoder.onnx, here or under GVR_MODELS",
+    )
 
 
 @lru_cache(maxsize=2)
