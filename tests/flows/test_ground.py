@@ -19,6 +19,7 @@ from datasets.inria_cameras import write_inria_cameras
 from datasets.own import own_scene
 from flows.own import OwnAnswer, ground_own
 from gvr_core.errors import ConfigError, SplatFormatError
+from gvr_core.methods import MethodConfig
 from gvr_core.models.oracle import OracleWorld, oracle_models
 from gvr_core.scene import Scene
 from gvr_core.splat_io import read_ply, write_ply
@@ -173,7 +174,13 @@ def answered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, boxes):
             return [answer]
 
         held = SimpleNamespace(path=lambda artifact: picture, load_arrays=lambda artifact: {})
-        job = SimpleNamespace(queries=data.queries, store=held)
+        job = SimpleNamespace(
+            data=data,
+            queries=data.queries,
+            store=held,
+            method=MethodConfig(),
+            model_names=lambda: {"encoder": "none, for the answer is given"},
+        )
         runs = {"segment": {"groundings": None}, "evaluate": {"picture.q0": None}}
         monkeypatch.setattr("flows.own.make_job", lambda *_, **__: job)
         monkeypatch.setattr("flows.own.run_stages", lambda job: runs)

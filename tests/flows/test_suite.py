@@ -213,7 +213,7 @@ def test_model_sets_are_picked_by_label_or_by_what_they_are(tmp_path: Path) -> N
     assert (oracle.segmenter, oracle.encoder, oracle.text_segmenter) == ("oracle",) * 3
     with pytest.raises(ConfigError) as caught:
         override(suite, models=["clip"])
-    assert "chance, onboard, oracle, truth" in str(caught.value)
+    assert "chance, mobile-sam, onboard, oracle, paper, truth" in str(caught.value)
 
 
 def test_what_is_named_twice_is_refused_or_run_once(tmp_path: Path) -> None:
