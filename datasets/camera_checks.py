@@ -19,6 +19,13 @@ NamedCameras = list[tuple[str, Camera]]
 MAX_SIDE = 65_535
 """Pixels. A longer side is damage or an attack: JPEG ends here, and renders would fill memory."""
 
+UNDISTORT = "undistort the pictures first, for example with 'colmap image_undistorter'"
+"""What to do about cameras with distortion, for messages."""
+
+
+class DistortedCameraError(CameraFormatError):
+    """A camera with lens distortion, which no splat is trained or rendered with."""
+
 
 def image_name(text: str, path: Path, place: str) -> str:
     """An image's name as a relative POSIX path that cannot leave the images' folder.

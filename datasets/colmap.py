@@ -1,7 +1,7 @@
 """COLMAP models: cameras, poses and points, read as text or binary and written as text.
 
 The format: https://colmap.github.io/format.html. Rotations and translations there are world to
-camera with OpenCV axes, as here. Only models without distortion are read.
+camera with OpenCV axes, as here. Only cameras without distortion are read.
 """
 
 from __future__ import annotations
@@ -41,6 +41,12 @@ def has_colmap_model(folder: Path) -> bool:
     return _suffix(folder) is not None
 
 
+def colmap_files(folder: Path) -> tuple[Path, ...]:
+    """The files that the cameras of a model are read from; none where there is no model."""
+    suffix = _suffix(folder)
+    return () if suffix is None else tuple(folder / f"{x}{suffix}" for x in ("cameras", "images"))
+
+
 def read_colmap_model(folder: Path | str) -> ColmapModel:
     """Read a COLMAP model; the binary form where both forms are there, as COLMAP does.
 
@@ -48,8 +54,9 @@ def read_colmap_model(folder: Path | str) -> ColmapModel:
         folder: Holds ``cameras``, ``images`` and perhaps ``points3D``, each ``.bin`` or ``.txt``.
 
     Raises:
-        CameraFormatError: if the files are missing or not as the format says, a camera has
-            distortion, an image names a camera that is not there, or there is no image.
+        DistortedCameraError: if a camera has distortion.
+        CameraFormatError: if the files are missing or not as the format says, an image names a
+            camera that is not there, or there is no image.
     """
     folder = Path(folder)
     suffix = _suffix(folder)

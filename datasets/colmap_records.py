@@ -9,7 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera_checks import image_name, intrinsics, rotation_matrix, world_to_camera
+from datasets.camera_checks import (
+    UNDISTORT,
+    DistortedCameraError,
+    image_name,
+    intrinsics,
+    rotation_matrix,
+    world_to_camera,
+)
 from gvr_core.errors import CameraFormatError
 
 CAMERA_MODELS = (
@@ -34,12 +41,23 @@ CAMERA_MODELS = (
 )
 """COLMAP's camera models; the binary form stores the index (``colmap/sensor/models.h``)."""
 
-PARAMETERS = {"SIMPLE_PINHOLE": ("f", "cx", "cy"), "PINHOLE": ("fx", "fy", "cx", "cy")}
-"""The models that are read, and their parameters in pixels."""
+_RADIAL = ("f", "cx", "cy", "k1")
+_OPENCV = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+PARAMETERS = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": _RADIAL,
+    "RADIAL": (*_RADIAL, "k2"),
+    "OPENCV": _OPENCV,
+    "FULL_OPENCV": (*_OPENCV, "k3", "k4", "k5", "k6"),
+}
+"""The models that are read, and their parameters: focal lengths and principal point in pixels,
+then the coefficients of the distortion. Where these are all zero, the camera is a pinhole. (A
+fisheye camera is none even then.)"""
 
 _ACCEPTED = (
-    f"{' or '.join(PARAMETERS)}; undistort the images first, for example with"
-    " 'colmap image_undistorter'"
+    "SIMPLE_PINHOLE or PINHOLE, or SIMPLE_RADIAL, RADIAL, OPENCV or FULL_OPENCV with coefficients"
+    f" of zero; {UNDISTORT}"
 )
 
 
@@ -71,10 +89,10 @@ def parameter_count(model: str, path: Path, place: str) -> int:
     """Number of parameters of a camera model.
 
     Raises:
-        CameraFormatError: for a model with distortion.
+        DistortedCameraError: for a model that is never a pinhole.
     """
     if model not in PARAMETERS:
-        raise CameraFormatError(
+        raise DistortedCameraError(
             f"the camera model is {model[:40]}", path=path, place=place, accepted=_ACCEPTED
         )
     return len(PARAMETERS[model])
@@ -93,8 +111,8 @@ def intrinsics_of(
         place: Where in the file, for the message.
 
     Raises:
-        CameraFormatError: for a model with distortion, too many or too few parameters, or
-            numbers that no camera has.
+        DistortedCameraError: for a camera with distortion.
+        CameraFormatError: for too many or too few parameters, or numbers that no camera has.
     """
     if len(parameters) != parameter_count(model, path, place):
         raise CameraFormatError(
@@ -103,9 +121,19 @@ def intrinsics_of(
             place=place,
             accepted=f"{' '.join(PARAMETERS[model])} for {model}",
         )
-    if model == "SIMPLE_PINHOLE":
-        parameters = [parameters[0], *parameters]
-    return Intrinsics(intrinsics(parameters, size, path, place), size)
+    names = PARAMETERS[model]
+    bent = {n: x for n, x in zip(names, parameters, strict=True) if n[0] in "kp" and x != 0}
+    if bent:
+        listed = ", ".join(f"{name} {value}" for name, value in bent.items())
+        raise DistortedCameraError(
+            f"the camera model is {model} with distortion: {listed}",
+            path=path,
+            place=place,
+            accepted=_ACCEPTED,
+        )
+    single = names[0] == "f"
+    pinhole = [parameters[0], *parameters[:3]] if single else list(parameters[:4])
+    return Intrinsics(intrinsics(pinhole, size, path, place), size)
 
 
 def pose_of(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -96,10 +97,48 @@ def _composed(name: str, layouts: Path) -> Callable[..., Dataset]:
     return make
 
 
+def benchmark_root(name: str) -> Path | None:
+    """Where a benchmark is looked for: under GVR_DATASETS; None where that is unset."""
+    given = os.environ.get("GVR_DATASETS")
+    return Path(given).expanduser() / name if given else None
+
+
+def _captured(name: str, module: str, kind: str) -> Callable[..., Dataset]:
+    """How a benchmark of captures is made, in the layout that it is published in."""
+
+    def make(root: object = None, splats: object = None) -> Dataset:
+        for setting, value in (("root", root), ("splats", splats)):
+            if value is not None and not (isinstance(value, str) and value):
+                raise ConfigError(
+                    f"{setting} {value!r}"[:100],
+                    place=f"{name}.settings.{setting}",
+                    accepted="the path of a folder",
+                )
+        folder = Path(str(root)).expanduser() if root else benchmark_root(name)
+        if folder is None:
+            raise DatasetError(
+                f"nobody said where {name} lies",
+                accepted=f"GVR_DATASETS, with {name}/ in it, or the data set's setting root",
+            )
+        reader: Any = getattr(importlib.import_module(module), kind)
+        made: Dataset = reader(folder, Path(str(splats)).expanduser() if splats else None)
+        return made
+
+    return make
+
+
+CAPTURED = {
+    "lerf_ovs": ("datasets.lerf_ovs", "LerfOvsDataset"),
+    "lerf_mask": ("datasets.lerf_mask", "LerfMaskDataset"),
+    "ovs3d": ("datasets.ovs3d", "Ovs3dDataset"),
+}
+"""Benchmarks of captures: name -> module and class of the reader."""
+
 DATASETS: dict[str, tuple[Callable[..., Dataset], tuple[str, ...]]] = {
     "gallery": (_gallery, ("seeds",)),
     COMPOSITE: (_composed(COMPOSITE, LAYOUTS), ("splats",)),
     STRESS: (_composed(STRESS, STRESS_LAYOUTS), ("splats",)),
+    **{name: (_captured(name, *reader), ("root", "splats")) for name, reader in CAPTURED.items()},
 }
 """Name -> how to make it, and the settings it takes."""
 

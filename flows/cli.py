@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from flows import commands
+from flows.datasets_cli import datasets_app
 from flows.models_cli import models_app
 from flows.places import results_root, store_root
 from flows.suite import DEFAULT_SUITE
@@ -30,6 +31,7 @@ app = typer.Typer(
 cache_app = typer.Typer(help="Look after the artifact store.", no_args_is_help=True)
 app.add_typer(cache_app, name="cache")
 app.add_typer(models_app, name="models")
+app.add_typer(datasets_app, name="datasets")
 
 StoreOption = Annotated[
     Path | None, typer.Option("--store", help="Artifact store; GVR_STORE, else .gvr/store.")
@@ -63,6 +65,10 @@ def run(
     limit: Annotated[
         int | None, typer.Option(help="Only the first so many queries of each scene.")
     ] = None,
+    exclude_eval_views: Annotated[
+        bool,
+        typer.Option("--exclude-eval-views", help="Keep test views out of the books (audit)."),
+    ] = False,
     store: StoreOption = None,
     results: Annotated[
         Path | None, typer.Option(help="Folder of the results; GVR_RESULTS, else .gvr/results.")
@@ -86,6 +92,7 @@ def run(
         None if no_mlflow else commands.tracking_uri(tracking_uri),
         progress=not quiet,
         models=models or [],
+        exclude_eval_views=exclude_eval_views,
     )
     raise typer.Exit(code)
 
@@ -157,6 +164,20 @@ def show(
 ) -> None:
     """Print the tables of a result again."""
     commands.show(result, results_root(), markdown, sheet, into)
+
+
+@app.command()
+def score(
+    result: Annotated[
+        str, typer.Argument(help="A result's folder or its id; the newest where left out.")
+    ] = "",
+    protocol: Annotated[
+        list[str] | None, typer.Option(help="Protocol's id; may be given more than once.")
+    ] = None,
+    store: StoreOption = None,
+) -> None:
+    """Score a result's saved predictions again under other protocols; nothing is grounded."""
+    commands.score(result, protocol or [], store or store_root(), results_root())
 
 
 @app.command()

@@ -16,8 +16,9 @@ from flows.suite import override, read_suite, resolve_scenes
 from gvr_core.atomic import atomic_write
 from gvr_core.errors import ConfigError, unknown_name
 from gvr_core.exports import EXPORTS, RED, parse_colour
-from gvr_core.methods import check_method
+from gvr_core.methods import METHODS
 from gvr_core.models.registry import require_weights
+from gvr_core.protocols import PROTOCOLS
 from reports import tables
 from reports.document import replace_block
 from reports.mlflow_store import SyncError, default_tracking_uri
@@ -49,13 +50,16 @@ def run(
     mlflow: str | None,
     progress: bool,
     models: Sequence[str] = (),
+    exclude_eval_views: bool = False,
 ) -> int:
     """``gvr run``: run a suite, print its tables, fill MLflow.
 
     Returns:
         Exit code: 0; 1 where a scene failed; 2 where it failed for something the user gave.
     """
-    suite = override(read_suite(suite_name), methods, datasets, scenes, limit, models)
+    suite = override(
+        read_suite(suite_name), methods, datasets, scenes, limit, models, exclude_eval_views
+    )
     resolve_scenes(suite.datasets)
     for line in suite.lines():
         require_weights(line.models)
@@ -101,7 +105,8 @@ def ground(
             nothing is computed then.
         ModelError: for weights that are missing.
     """
-    check_method(method)
+    if method not in METHODS:
+        raise unknown_name("method", method, METHODS)
     chosen = bundled_models(models)
     require_weights(chosen)
     for kind in exports:
@@ -165,6 +170,17 @@ def show(
     if sheet is not None:
         with atomic_write(sheet) as stream:
             stream.write(contact_sheet(_one_picture_per_object(folder, result)))
+
+
+def score(name: str, protocols: Sequence[str], store: Path, root: Path) -> None:
+    """``gvr score``: a result's saved predictions under other protocols."""
+    from flows.score import score_again
+
+    if not protocols:
+        raise ConfigError("no protocol is named", accepted=", ".join(PROTOCOLS))
+    folder = score_again(find_result(name, root), protocols, store, root)
+    print_tables(*read_result(folder))
+    console.print(f"\nResult: {folder}", soft_wrap=True, highlight=False)
 
 
 def _one_picture_per_object(folder: Path, result: Result) -> list[bytes]:

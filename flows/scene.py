@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 from prefect import flow
 
 from datasets.base import SceneData
+from datasets.leakage import without_test_views
 from datasets.registry import get_dataset
 from flows.lines import Line, file_name
 from flows.progress import Progress
@@ -23,6 +25,7 @@ from gvr_core.models.registry import ModelConfig, build_models, needs_world
 from gvr_core.rendering import get_renderer
 from gvr_core.scene import Query
 from reports.record import QueryOutcome, Row, SceneResult, StageTiming
+from tasks.evaluation import Scored
 from tasks.groundings import Answer, unpack_answers
 from tasks.stage import StageRun
 from tasks.stages import PREPARATION, SceneJob, run_stages
@@ -119,15 +122,45 @@ def scene_flow(
     choice = next(d for d in config.datasets if d.name == dataset)
     with Progress(shown=progress) as bars:
         try:
-            data = load_scene(choice, scene)
+            data = load_scene(choice, scene, config.exclude_eval_views)
         except Exception as error:
             return [_failed(dataset, scene, line, error) for line in config.lines()]
         return [run_line(data, config, line, Store(store), bars) for line in config.lines()]
 
 
-def load_scene(choice: DatasetChoice, scene: str) -> SceneData:
-    """Read one scene of a data set, making it first where the data set makes its own."""
-    return get_dataset(choice.name, choice.settings).load(scene)
+def load_scene(choice: DatasetChoice, scene: str, exclude_eval_views: bool = False) -> SceneData:
+    """Read one scene of a data set, making it first where the data set makes its own.
+
+    Args:
+        choice: The data set.
+        scene: Name of the scene.
+        exclude_eval_views: Keep test views out of the knowledge views.
+    """
+    data = get_dataset(choice.name, choice.settings).load(scene)
+    if exclude_eval_views:
+        data = without_test_views(data)
+    for note in data.notes:
+        log.warning("%s/%s: %s", data.scene.dataset, data.scene.name, note)
+    return data
+
+
+def result_rows(
+    dataset: str, scene: str, method: str, queries: Sequence[Query], scored: Sequence[Scored]
+) -> list[Row]:
+    """Rows of a scene's evaluation with all the names that a result has them under."""
+    known = {query.id: query for query in queries}
+    return [
+        Row(
+            dataset=dataset,
+            scene=scene,
+            method=method,
+            text=known[row["query"]].text,
+            target=known[row["query"]].target,
+            absent=known[row["query"]].absent,
+            **row,
+        )
+        for row in scored
+    ]
 
 
 def run_line(
@@ -178,19 +211,8 @@ def _outcome(line: Line, job: SceneJob, runs: dict[str, StageRun]) -> SceneOutco
             path = f"{folder}/{query.id}.png"
             pictures[path] = job.store.path(runs["evaluate"][f"picture.{query.id}"])
         queries.append(_query_outcome(query, answer, runs, path))
-    known = {query.id: query for query in job.queries}
-    rows = tuple(
-        Row(
-            dataset=scene.dataset,
-            scene=scene.name,
-            method=line.name,
-            text=known[scored["query"]].text,
-            target=known[scored["query"]].target,
-            absent=known[scored["query"]].absent,
-            **scored,
-        )
-        for scored in job.store.load_json(runs["evaluate"]["rows"])
-    )
+    scored = job.store.load_json(runs["evaluate"]["rows"])
+    rows = tuple(result_rows(scene.dataset, scene.name, line.name, job.queries, scored))
     seconds = [sum(outcome.seconds.values()) for outcome in queries]
     camera = scene.views[0].camera
     result = SceneResult(
@@ -198,11 +220,11 @@ def _outcome(line: Line, job: SceneJob, runs: dict[str, StageRun]) -> SceneOutco
         status="completed",
         n_gaussians=len(scene.gaussians),
         n_views=len(scene.views),
-        n_patches=int(runs["masks"].record.detail["n_patches"]),
+        n_patches=int(runs["masks"].record.detail["n_patches"]) if "masks" in runs else 0,
         picture_size=(camera.width, camera.height),
         models=job.model_names(),
         digests=dict(job.data.digests),
-        prepare_seconds=sum(runs[stage].record.seconds for stage in PREPARATION),
+        prepare_seconds=sum(runs[stage].record.seconds for stage in PREPARATION if stage in runs),
         query_seconds=sum(seconds) / len(seconds) if seconds else 0.0,
         stages=tuple(_timing(run) for run in runs.values()),
         queries=tuple(queries),

@@ -53,6 +53,8 @@ class SuiteConfig(BaseModel):
     renderer: str = "numba"
     limit: int | None = Field(default=None, ge=1)
     """Only the first so many queries of each scene."""
+    exclude_eval_views: bool = False
+    """Keep the test views out of the knowledge views, where a data set has them in both."""
     experiment: str = Field(default="gvr-bench", min_length=1)
     """MLflow experiment."""
 
@@ -138,6 +140,7 @@ def override(
     scenes: Sequence[str] = (),
     limit: int | None = None,
     models: Sequence[str] = (),
+    exclude_eval_views: bool = False,
 ) -> SuiteConfig:
     """The suite with choices made on the command line.
 
@@ -150,11 +153,14 @@ def override(
         limit: Only the first so many queries of each scene.
         models: Run only with these: labels of the suite's model sets, or of bundled
             ones (:data:`flows.lines.BUNDLED`).
+        exclude_eval_views: Keep test views out of the knowledge views.
 
     Raises:
         ConfigError: for a name that does not exist.
     """
     changes: dict[str, Any] = {}
+    if exclude_eval_views:
+        changes["exclude_eval_views"] = True
     if methods:
         changes["methods"] = _chosen_methods(suite, methods)
     if models:

@@ -184,6 +184,17 @@ class Books:
     index: Arrays = field(default_factory=dict)
     """What the method itself has worked out from the other books, by name."""
 
+    @classmethod
+    def none(cls) -> Self:
+        """The books of a method that needs none: no view, no patch."""
+        sizes = np.zeros((0, 2), np.int32)
+        depths = np.zeros(0, np.float32)
+        return cls(
+            ViewBook(np.zeros((0, 3), np.uint8), np.zeros(0, np.uint8), sizes),
+            DepthBook(depths, depths, sizes),
+            SemanticVectorBook(np.zeros((0, 0), np.float32), PatchBook.of_masks([], [])),
+        )
+
 
 def view_frame(views: ViewBook, depths: DepthBook, i: int, view: View) -> Frame:
     """The frame of knowledge view i, as models see it.

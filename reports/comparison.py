@@ -8,12 +8,10 @@ from dataclasses import dataclass
 
 from gvr_core.metrics import FLAGS_3D, IN_SCENE_2D, REFUSAL
 from reports.auroc import auroc
-from reports.bootstrap import Difference, Estimate, interval, paired
+from reports.bootstrap import Difference, Estimate, interval
 from reports.headline import method_names, scene_names
+from reports.protocol_guard import Pair, paired_rows, values_by_scene
 from reports.record import Result, Row, SceneResult
-
-Pair = tuple[str, str | None]
-"""A query, and the test view or None."""
 
 Values = Mapping[str, Mapping[Pair, float]]
 """Scene -> pair -> value of one metric."""
@@ -94,33 +92,20 @@ def compare(result: Result, rows: Sequence[Row], dataset: str) -> list[ComparedL
             mine[row.method].append(row)
     scenes = scene_names(result, dataset)
     names = method_names(result, dataset)
-    overlaps = {name: values_of(mine[name], FLAGS_3D, "iou", scenes) for name in names}
+    overlaps = {name: values_by_scene(mine[name], FLAGS_3D, "iou", scenes) for name in names}
     known: dict[str, set[tuple[str, Pair]]] = defaultdict(set)
     for name in names:
         known[results[name][0].model_set] |= _pairs(overlaps[name])
     labels = {name: results[name][0].shown_label for name in names}
     return [
-        _line(
-            results[name], mine[name], scenes, overlaps, known[results[name][0].model_set], labels
-        )
+        _line(results[name], mine, scenes, overlaps, known[results[name][0].model_set], labels)
         for name in names
     ]
 
 
-def values_of(
-    rows: Sequence[Row], protocol: str, metric: str, scenes: Sequence[str]
-) -> dict[str, dict[Pair, float]]:
-    """One metric of one line: scene -> pair -> value, for present objects, in the scenes' order."""
-    values: dict[str, dict[Pair, float]] = {scene: {} for scene in scenes}
-    for row in rows:
-        if row.protocol == protocol and not row.absent and metric in row.metrics:
-            values[row.scene][row.query, row.view] = row.metrics[metric]
-    return {scene: pairs for scene, pairs in values.items() if pairs}
-
-
 def _line(
     results: Sequence[SceneResult],
-    rows: Sequence[Row],
+    rows_of: Mapping[str, Sequence[Row]],
     scenes: Sequence[str],
     overlaps: Mapping[str, Values],
     known: set[tuple[str, Pair]],
@@ -128,6 +113,10 @@ def _line(
 ) -> ComparedLine:
     first = results[0]
     own, reference = overlaps[first.method], first.reference
+    rows = rows_of[first.method]
+    difference = None
+    if reference is not None and own and overlaps.get(reference):
+        difference = paired_rows(rows, rows_of[reference], "iou", FLAGS_3D, scenes)
     done = [scene for scene in results if scene.status == "completed"]
     answered = [scene for scene in done if scene.queries]
     refusals = [row for row in rows if row.protocol == REFUSAL]
@@ -138,11 +127,11 @@ def _line(
         model_set=first.model_set,
         reference=None if reference is None else labels.get(reference, reference),
         iou_3d=_mean(own),
-        difference=paired(own, overlaps[reference]) if reference in overlaps else None,
+        difference=difference,
         by_scene={scene: sum(pairs.values()) / len(pairs) for scene, pairs in own.items()},
-        miou=_mean(values_of(rows, IN_SCENE_2D, "iou", scenes)),
-        acc=_mean(values_of(rows, IN_SCENE_2D, "acc_peak", scenes)),
-        within_radius=_mean(values_of(rows, FLAGS_3D, "within_radius", scenes)),
+        miou=_mean(values_by_scene(rows, IN_SCENE_2D, "iou", scenes)),
+        acc=_mean(values_by_scene(rows, IN_SCENE_2D, "acc_peak", scenes)),
+        within_radius=_mean(values_by_scene(rows, FLAGS_3D, "within_radius", scenes)),
         auroc=auroc(_confidences(done, refusals)),
         n_absent=sum(row.absent for row in refusals),
         n_refused=sum(row.absent for row in refused),

@@ -18,6 +18,13 @@ def cell_text(cell: Cell) -> str:
     return f"{100 * cell.value:.1f}{'*' if cell.partial else ''}"
 
 
+def coverage_text(cell: Cell) -> str:
+    """Evaluated and expected pairs, ``12/14``; empty where every one was evaluated."""
+    if cell.state == "failed" or cell.n >= cell.n_expected:
+        return ""
+    return f"{cell.n}/{cell.n_expected}"
+
+
 def seconds_text(value: float | None) -> str:
     """Seconds to three digits."""
     if value is None:

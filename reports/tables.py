@@ -16,7 +16,7 @@ from reports.comparison_sheets import (
 )
 from reports.cost_sheets import refusal_sheets, stage_sheets, timing_sheets
 from reports.headline import dataset_names, method_names
-from reports.headline_sheets import headline_sheets, wide_headline_sheets
+from reports.paper_table import paper_sheets, published_datasets
 from reports.record import Result, Row
 from reports.sheet import to_markdown, to_rich
 
@@ -28,7 +28,11 @@ favour of one row a line."""
 def overview(result: Result, rows: Sequence[Row]) -> RenderableType:
     """All tables of a run, for the terminal."""
     if is_large(result):
-        return Group(comparison(result, rows), scenes(result, rows), summary(result, rows))
+        few = [comparison(result, rows), scenes(result, rows), summary(result, rows)]
+        paper = paper_sheets(
+            result, aggregate(rows, result.scenes), datasets=published_datasets(result)
+        )
+        return Group(*map(to_rich, paper), *few)
     parts = [timing(result), refusals(result, rows), stages(result)]
     if has_references(result):
         parts = [comparison(result, rows), *parts]
@@ -36,8 +40,11 @@ def overview(result: Result, rows: Sequence[Row]) -> RenderableType:
 
 
 def headline(result: Result, rows: Sequence[Row]) -> RenderableType:
-    """Method x scene: Acc, mIoU and 3D IoU, and their means over scenes, for the terminal."""
-    return Group(*(to_rich(s) for s in headline_sheets(result, aggregate(rows, result.scenes))))
+    """Method x scene: the headline numbers and their means over scenes, for the terminal.
+
+    Below those of a data set that numbers were published on stand the published ones.
+    """
+    return Group(*(to_rich(s) for s in paper_sheets(result, aggregate(rows, result.scenes))))
 
 
 def comparison(result: Result, rows: Sequence[Row]) -> RenderableType:
@@ -93,6 +100,7 @@ def readme_block(result: Result, rows: Sequence[Row]) -> str:
     comparisons = [s for name, lines in compared for s in wide_comparison_sheets(name, lines)]
     if is_large(result):
         sheets = [
+            *paper_sheets(result, averages, wide=True, datasets=published_datasets(result)),
             *comparisons,
             *(
                 sheet
@@ -103,7 +111,7 @@ def readme_block(result: Result, rows: Sequence[Row]) -> str:
         ]
     else:
         sheets = [
-            *wide_headline_sheets(result, averages),
+            *paper_sheets(result, averages, wide=True),
             *comparisons,
             *timing_sheets(result),
             *refusal_sheets(result, averages),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,8 @@ class Answer:
     """(3,) L_3D, world frame."""
     found: bool
     confidence: float
+    given: Mapping[str, NDArray[Any]] | None = None
+    """View name -> mask or relevancy maps, of methods that give pictures; see ``Grounding``."""
 
 
 def pack_localization(localization: Localization | None) -> dict[str, Any] | None:
@@ -101,7 +104,7 @@ def pack_groundings(groundings: Sequence[Grounding], n: int) -> dict[str, NDArra
     }
     if not np.array_equal(scores, flags):
         arrays["scores"] = scores
-    return arrays | _pack_evidence(groundings)
+    return arrays | _pack_given(groundings) | _pack_evidence(groundings)
 
 
 def unpack_answers(arrays: Mapping[str, NDArray[Any]]) -> list[Answer]:
@@ -110,10 +113,43 @@ def unpack_answers(arrays: Mapping[str, NDArray[Any]]) -> list[Answer]:
     flags = np.unpackbits(arrays["flags"], axis=1, count=n).astype(np.bool_)
     scores = arrays["scores"] if "scores" in arrays else flags.astype(np.float32)
     places = [None if np.isnan(place).any() else place for place in arrays["locations"]]
+    pictures = _unpack_given(arrays)
     return [
-        Answer(flags[i], scores[i], places[i], bool(found), float(arrays["confidence"][i]))
+        Answer(
+            flags[i],
+            scores[i],
+            places[i],
+            bool(found),
+            float(arrays["confidence"][i]),
+            pictures.get(i),
+        )
         for i, found in enumerate(arrays["found"])
     ]
+
+
+def _pack_given(groundings: Sequence[Grounding]) -> dict[str, NDArray[Any]]:
+    """Pictures of methods that give such, and which query and view each is of."""
+    arrays: dict[str, NDArray[Any]] = {}
+    listed: list[tuple[int, str]] = []
+    for query, grounding in enumerate(groundings):
+        for view, picture in (grounding.given or {}).items():
+            arrays[f"given.{len(listed)}"] = picture
+            listed.append((query, view))
+    having = [i for i, grounding in enumerate(groundings) if grounding.given is not None]
+    if having:
+        listing = json.dumps({"queries": having, "pictures": listed}).encode()
+        arrays["given.listing"] = np.frombuffer(listing, np.uint8)
+    return arrays
+
+
+def _unpack_given(arrays: Mapping[str, NDArray[Any]]) -> dict[int, dict[str, NDArray[Any]]]:
+    if "given.listing" not in arrays:
+        return {}
+    listing = json.loads(arrays["given.listing"].tobytes())
+    pictures: dict[int, dict[str, NDArray[Any]]] = {i: {} for i in listing["queries"]}
+    for number, (query, view) in enumerate(listing["pictures"]):
+        pictures[query][view] = arrays[f"given.{number}"]
+    return pictures
 
 
 def _pack_evidence(groundings: Sequence[Grounding]) -> dict[str, NDArray[Any]]:

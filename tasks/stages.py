@@ -22,10 +22,10 @@ from datasets.base import SceneData
 from gvr_core import preparation
 from gvr_core.books import Books, DepthBook, PatchBook, SemanticVectorBook, ViewBook
 from gvr_core.methods import MethodConfig, Toolbox, build_method
-from gvr_core.metrics import FLAGS_3D, IN_SCENE_2D, REFUSAL
 from gvr_core.robust.calibration import calibration_of
 from gvr_core.scene import Query
-from tasks.evaluation import draw_query, score_query
+from tasks.drawing import draw_query
+from tasks.evaluation import score_scene
 from tasks.groundings import (
     pack_groundings,
     pack_localization,
@@ -83,7 +83,7 @@ class SceneJob:
             **self.method.settings(),
             **self.model_names(),
             "calibration": calibration_of(encoder).model_dump(mode="json"),
-            "protocols": [IN_SCENE_2D, FLAGS_3D, REFUSAL],
+            "protocols": list(self.data.protocols),
         }
 
     def digests(self) -> dict[str, str]:
@@ -187,15 +187,14 @@ def compute_segment(store: Store, inputs: Inputs, config: Config, job: SceneJob)
 def compute_evaluate(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Score every query, and draw it."""
     answers = unpack_answers(store.load_arrays(inputs["segment"]["groundings"]))
-    rows, artifacts, unseen = [], {}, 0
+    scores = score_scene(job.data, job.queries, answers, job.tools.renderer)
+    artifacts = {"rows": store.put_json("rows", scores.rows)}
     for query, answer in job.track(list(zip(job.queries, answers, strict=True)), "evaluate"):
-        scored, hidden = score_query(job.data, query, answer, job.tools.renderer)
-        picture = draw_query(job.data, query, answer, scored, job.tools.renderer)
+        own = [row for row in scores.rows if row["query"] == query.id]
+        picture = draw_query(job.data, query, answer, own, job.tools.renderer)
         artifacts[f"picture.{query.id}"] = store.put_bytes("picture", picture, ".png")
-        rows += scored
-        unseen += hidden
-    artifacts["rows"] = store.put_json("rows", rows)
-    return StageOutput(artifacts, {"views_without_object": unseen})
+    left_out = {"unlabelled": scores.unlabelled, "left_out": scores.left_out}
+    return StageOutput(artifacts, left_out)
 
 
 @dataclass(frozen=True)
@@ -251,11 +250,14 @@ STAGES = (
         ("gaussians", "views", "texts", "render", "depth", "masks", "encode", "index", "query"),
     ),
     PlannedStage(
-        Stage("evaluate", 2, compute_evaluate, ("renderer", "protocols")),
+        Stage("evaluate", 3, compute_evaluate, ("renderer", "protocols")),
         ("gaussians", "views", "queries", "truth", "segment"),
     ),
 )
 """The stages, in the order in which they run."""
+
+NO_BOOKS = hashlib.sha256(b"no books").hexdigest()
+"""Stands for the results of the preparation where a method needs none."""
 
 PREPARATION = ("render", "depth", "masks", "encode", "index")
 """Stages before any query: the paper's preparation time."""
@@ -268,14 +270,19 @@ def run_stages(job: SceneJob) -> dict[str, StageRun]:
         job: One method on one scene.
 
     Returns:
-        Stage name -> how it ended.
+        Stage name -> how it ended; without the preparation's stages for methods that need no
+        books.
     """
     known: dict[str, Any] = job.digests()
+    config = job.config()
     runs: dict[str, StageRun] = {}
     for planned in STAGES:
+        if planned.stage.name in PREPARATION and not job.method.needs_books:
+            known[planned.stage.name] = NO_BOOKS
+            continue
         inputs = {name: known[name] for name in planned.inputs}
         run = run_stage(
-            planned.stage, job.store, inputs, job.config(), label=job.label, runtime={"job": job}
+            planned.stage, job.store, inputs, config, label=job.label, runtime={"job": job}
         )
         known[planned.stage.name] = runs[planned.stage.name] = run
     return runs
@@ -295,6 +302,8 @@ def _patch_book(store: Store, inputs: Inputs) -> PatchBook:
 
 def _books(store: Store, inputs: Inputs) -> Books:
     """All the books that the earlier stages have made."""
+    if inputs["encode"] == NO_BOOKS:
+        return Books.none()
     features = store.load_arrays(inputs["encode"]["features"])["features"]
     semantics = SemanticVectorBook(features, _patch_book(store, inputs))
     index = store.load_arrays(inputs["index"]["index"]) if "index" in inputs else {}

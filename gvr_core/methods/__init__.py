@@ -12,6 +12,7 @@ from gvr_core.methods.base import Grounding, Method
 from gvr_core.methods.gvr_paper import GVRPaper, LocateConfig, SegmentConfig
 from gvr_core.methods.gvr_robust import GVRRobust
 from gvr_core.methods.lift import Lift, LiftConfig
+from gvr_core.methods.predictions import Predictions, PredictionsConfig
 from gvr_core.robust.config import (
     RobustConfig,
     RobustIndex,
@@ -26,7 +27,10 @@ METHODS = {
     "lift": "baseline of another school: view features lifted onto the Gaussians",
     "random-patch": "control: the paper's method with a random patch retrieved in each view",
 }
-"""Name -> one line on what it is."""
+"""Name -> one line on what it is; each can answer a question that nobody has asked before."""
+
+PREDICTIONS = "predictions"
+"""Name of the method that reads someone else's answers from a folder."""
 
 RANDOM_ENCODER = "random:0"
 """The control's encoder: unit vectors drawn from a seeded generator, blind to what they stand for.
@@ -39,7 +43,7 @@ class MethodConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     method: str = "gvr-paper"
-    """A name from :data:`METHODS`."""
+    """A name from :data:`METHODS`, or :data:`PREDICTIONS`."""
     label: str = Field(default="", pattern=r"^[A-Za-z0-9 _./+-]{0,40}$")
     """Name in tables and MLflow; the method's own name where empty. What is left out of a variant
     comes on top."""
@@ -53,6 +57,8 @@ class MethodConfig(BaseModel):
     """``gvr-robust``: its switches."""
     lift: LiftConfig = LiftConfig()
     """``lift``: its settings."""
+    predictions: PredictionsConfig = PredictionsConfig()
+    """``predictions``: where they lie."""
 
     @property
     def shown_name(self) -> str:
@@ -63,6 +69,11 @@ class MethodConfig(BaseModel):
     def encoder_override(self) -> str | None:
         """The encoder that the method itself demands, if any."""
         return RANDOM_ENCODER if self.method == "random-patch" else None
+
+    @property
+    def needs_books(self) -> bool:
+        """Whether views have to be rendered, segmented and encoded for it."""
+        return self.method != PREDICTIONS
 
     @property
     def background(self) -> tuple[float, float, float]:
@@ -82,6 +93,9 @@ class MethodConfig(BaseModel):
         elif self.method == "lift":
             locate = {}
             segment = self.lift.model_dump(mode="json")
+        elif self.method == PREDICTIONS:
+            locate = {}
+            segment = {"sha256": self.predictions.digest()}
         else:
             locate = self.locate.model_dump(mode="json")
             segment = self.segment.model_dump(mode="json") | {"rfl": self.locate.rfl}
@@ -112,7 +126,7 @@ def variants(config: MethodConfig) -> tuple[MethodConfig, ...]:
             )
             for name in base.robust.switches()
         ]
-    elif config.method != "lift":
+    elif config.method not in ("lift", PREDICTIONS):
         no_rfl: dict[str, Any] = {"locate": base.locate.model_copy(update={"rfl": False})}
         no_smfi: dict[str, Any] = {"segment": base.segment.model_copy(update={"smfi": False})}
         parts = [("w/o RFL", no_rfl), ("w/o SMFI", no_smfi), ("w/o RFL and SMFI", no_rfl | no_smfi)]
@@ -126,8 +140,8 @@ def check_method(name: str) -> None:
     Raises:
         ConfigError: listing the names that are.
     """
-    if name not in METHODS:
-        raise unknown_name("method", name, METHODS)
+    if name not in (*METHODS, PREDICTIONS):
+        raise unknown_name("method", name, [*METHODS, PREDICTIONS])
 
 
 def build_method(config: MethodConfig, tools: Toolbox) -> Method:
@@ -139,6 +153,7 @@ def build_method(config: MethodConfig, tools: Toolbox) -> Method:
     check_method(config.method)
     makers: dict[str, Callable[[], Method]] = {
         "gvr-robust": lambda: GVRRobust(tools, config.robust, config.background, config.shown_name),
+        PREDICTIONS: lambda: Predictions(config.predictions, config.shown_name),
         "lift": lambda: Lift(tools, config.lift, config.background, config.shown_name),
     }
     if config.method in makers:
@@ -153,6 +168,7 @@ def _part(config: RobustConfig, part: type[BaseModel]) -> dict[str, Any]:
 
 __all__ = [
     "METHODS",
+    "PREDICTIONS",
     "Grounding",
     "Method",
     "MethodConfig",

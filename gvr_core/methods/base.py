@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -42,6 +42,9 @@ class Grounding:
     """Evidence: the bird's-eye view and its mask."""
     ring: Sequence[VirtualView] = ()
     """Evidence: the surrounding views and their masks."""
+    given: Mapping[str, NDArray[Any]] | None = None
+    """View name -> what a method of pictures says there, instead of flags: (H, W) uint8 grey mask
+    or (L, H, W) float32 relevancy maps. None for methods that flag Gaussians."""
 
 
 class Method(Protocol):

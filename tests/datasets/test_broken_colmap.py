@@ -31,8 +31,8 @@ def small(tmp_path: Path) -> Path:
         ("cameras", "1 PINHOLE 640\n", "line 1", "3 fields"),
         ("cameras", "\n1 PINHOLE 640 480 500 501 320\n", "line 2", "3 parameters"),
         ("cameras", "1 PINHOLE 640 480 500 501 320 240 0\n", "line 1", "5 parameters"),
-        ("cameras", "1 OPENCV 9 9 1 1 1 1 0 0 0 0\n", "line 1", "model is OPENCV.*undistort"),
-        ("cameras", "1 SIMPLE_RADIAL 9 9 1 1 1 0\n", "line 1", "PINHOLE or PINHOLE"),
+        ("cameras", "1 OPENCV 9 9 1 1 1 1 .1 0 0 0\n", "line 1", "model is OPENCV.*undistort"),
+        ("cameras", "1 SIMPLE_RADIAL 9 9 1 1 1 -.1\n", "line 1", "k1 -0.1.*PINHOLE or"),
         ("cameras", "one PINHOLE 640 480 500 501 320 240\n", "line 1", "'one' is not a whole"),
         ("cameras", "1 PINHOLE 640 480 500 x 320 240\n", "line 1", "'x' is not a number"),
         ("cameras", "1 PINHOLE 640 480 nan 501 320 240\n", "line 1", "fx nan"),
@@ -125,7 +125,7 @@ def test_binary_files_that_are_too_short_or_too_long(small: Path, file: str):
 )
 def test_binary_cameras_with_distortion(small: Path, model: int, message: str):
     pycolmap.Reconstruction(str(write_small_for_binary(small))).write_binary(str(small))
-    camera = struct.pack("<QIiQQ8d", 1, 1, model, 64, 48, 50, 50, 32, 24, 0, 0, 0, 0)
+    camera = struct.pack("<QIiQQ8d", 1, 1, model, 64, 48, 50, 50, 32, 24, 0, 0, 0, 1e-9)
     (small / "cameras.bin").write_bytes(camera)
     with pytest.raises(CameraFormatError, match=f"model is {message} .*undistort"):
         read_colmap_model(small)
