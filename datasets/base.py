@@ -89,6 +89,8 @@ class SceneData:
     """Ids of the protocols that predictions on this scene are scored under, the main one first."""
     notes: tuple[str, ...] = ()
     """What had to be put right or left out on reading, with counts; said to the user."""
+    original: bool = False
+    """Whether it is taken for the data that published numbers are on."""
 
 
 class Dataset(Protocol):

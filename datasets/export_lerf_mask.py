@@ -8,6 +8,7 @@ from datasets.base import SceneData
 from datasets.exporting import Shot, new_folder, prompts, write_capture, write_photograph
 from datasets.images import write_png
 from datasets.native_records import check_distinct
+from datasets.provenance import mark_export
 from gvr_core.errors import DatasetError
 from gvr_core.rendering.base import Renderer
 
@@ -52,6 +53,7 @@ def export_lerf_mask(data: SceneData, root: Path, renderer: Renderer) -> Path:
     texts = prompts(data)
     with new_folder(folder) as temporary:
         write_capture(temporary, data.scene.gaussians, [*train, *held_out], renderer)
+        mark_export(temporary, data)
         for shot in train:
             path = temporary / "images_train" / shot.file
             write_photograph(path, data.scene.gaussians, shot.view, renderer)

@@ -13,6 +13,7 @@ from datasets.exporting import Shot, new_folder, prompts, write_capture, write_p
 from datasets.lerf_labels import Corners
 from datasets.lerf_ovs import LABELS
 from datasets.outline_polygons import outline_polygons, polygon_area
+from datasets.provenance import mark_export
 from gvr_core.atomic import atomic_write
 from gvr_core.errors import DatasetError
 from gvr_core.metrics import truth_box
@@ -75,6 +76,7 @@ def export_lerf_ovs(data: SceneData, root: Path, renderer: Renderer) -> Path:
         raise DatasetError("no test view shows an object", path=folder, accepted="one mask or more")
     with new_folder(label_folder) as labels, new_folder(folder) as scene:
         write_capture(scene, data.scene.gaussians, shots, renderer)
+        mark_export(scene, data)
         for view, objects in labelled.items():
             camera = tests[view].camera
             picture = labels / f"{stems[view]}.jpg"

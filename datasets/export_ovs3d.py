@@ -8,6 +8,7 @@ from datasets.base import SceneData
 from datasets.exporting import Shot, new_folder, prompts, write_capture
 from datasets.images import write_png
 from datasets.native_records import check_distinct
+from datasets.provenance import mark_export
 from gvr_core.atomic import atomic_write
 from gvr_core.errors import DatasetError
 from gvr_core.rendering.base import Renderer
@@ -56,6 +57,7 @@ def export_ovs3d(data: SceneData, root: Path, renderer: Renderer) -> Path:
     texts = prompts(data)
     with new_folder(folder) as temporary:
         write_capture(temporary, data.scene.gaussians, shots, renderer)
+        mark_export(temporary, data)
         segmentations = temporary / "segmentations"
         for index, shot in enumerate(shots):
             if shot.stem in tests:

@@ -37,6 +37,7 @@ from datasets.mask_folders import (
 )
 from datasets.mask_sources import GreyMask
 from datasets.native_records import check_distinct
+from datasets.provenance import is_original
 from gvr_core.errors import DatasetError, some_of
 from gvr_core.metrics import IN_SCENE_2D, REFUSAL
 from gvr_core.scene import Scene, View
@@ -147,6 +148,7 @@ class LerfMaskDataset:
             digests(capture.ply, knowledge, queries, test_views, objects, paths),
             PROTOCOLS,
             (*capture.notes, *notes.lines()),
+            is_original(folder, PROMPTS),
         )
 
 

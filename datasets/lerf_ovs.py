@@ -28,6 +28,7 @@ from datasets.frames import match_frame
 from datasets.lerf_labels import FrameLabels, read_frame_labels
 from datasets.mask_folders import Notes, camera_at_size, digests, entries, queries_for
 from datasets.picture_folder import picture_size
+from datasets.provenance import is_original
 from gvr_core.errors import DatasetError, unknown_name
 from gvr_core.metrics import IN_SCENE_2D, REFUSAL
 from gvr_core.protocols.lerf_ovs import LANGSPLAT_2D, OPENGAUSSIAN_3D
@@ -140,6 +141,7 @@ class LerfOvsDataset:
             ),
             protocols=(LANGSPLAT_2D.id, OPENGAUSSIAN_3D.id, IN_SCENE_2D, REFUSAL),
             notes=(*capture.notes, *notes.lines()),
+            original=is_original(self._root / scene, SCENES),
         )
 
 

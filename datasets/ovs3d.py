@@ -36,6 +36,7 @@ from datasets.mask_folders import (
     view_names,
 )
 from datasets.native_records import check_distinct
+from datasets.provenance import is_original
 from gvr_core.errors import DatasetError, some_of
 from gvr_core.metrics import IN_SCENE_2D, REFUSAL
 from gvr_core.scene import Scene, View
@@ -110,6 +111,7 @@ class Ovs3dDataset:
             digests(capture.ply, views, queries, test_views, classes, masks),
             PROTOCOLS,
             (*capture.notes, *notes.lines()),
+            is_original(folder, SCENES),
         )
 
 

@@ -8,16 +8,16 @@ from pathlib import Path
 
 from datasets.camera_checks import is_file, is_folder
 from datasets.cameras_file import has_cameras
+from datasets.lerf_mask import LERF_MASK, PROMPTS
+from datasets.lerf_ovs import NAME as LERF_OVS
+from datasets.lerf_ovs import SCENES as OVS_SCENES
+from datasets.ovs3d import OVS3D
+from datasets.ovs3d import SCENES as OVS3D_SCENES
 from gvr_core.errors import DatasetError
 
-LERF_OVS, LERF_MASK, OVS3D = "lerf_ovs", "lerf_mask", "ovs3d"
 NATIVE, CAPTURE = "native", "capture"
 
-EXPECTED = {
-    LERF_OVS: ("ramen", "figurines", "teatime", "waldo_kitchen"),
-    LERF_MASK: ("figurines", "ramen", "teatime"),
-    OVS3D: ("bed", "bench", "room", "sofa", "lawn"),
-}
+EXPECTED = {LERF_OVS: OVS_SCENES, LERF_MASK: tuple(PROMPTS), OVS3D: OVS3D_SCENES}
 """Layout -> the scenes that papers report. A folder with fewer gives another mean over scenes."""
 
 

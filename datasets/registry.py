@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,7 +10,11 @@ from typing import Any
 from datasets.base import Dataset, SceneData
 from datasets.composite import COMPOSITE, LAYOUTS, STRESS, STRESS_LAYOUTS, CompositeDataset
 from datasets.gallery import GalleryDataset
+from datasets.lerf_mask import LERF_MASK, LerfMaskDataset
+from datasets.lerf_ovs import NAME as LERF_OVS
+from datasets.lerf_ovs import LerfOvsDataset
 from datasets.native import read_scene
+from datasets.ovs3d import OVS3D, Ovs3dDataset
 from gvr_core.errors import ConfigError, DatasetError, unknown_name
 
 FOLDER = "folder:"
@@ -103,7 +106,7 @@ def benchmark_root(name: str) -> Path | None:
     return Path(given).expanduser() / name if given else None
 
 
-def _captured(name: str, module: str, kind: str) -> Callable[..., Dataset]:
+def _captured(name: str, reader: Callable[[Path, Path | None], Dataset]) -> Callable[..., Dataset]:
     """How a benchmark of captures is made, in the layout that it is published in."""
 
     def make(root: object = None, splats: object = None) -> Dataset:
@@ -120,25 +123,23 @@ def _captured(name: str, module: str, kind: str) -> Callable[..., Dataset]:
                 f"nobody said where {name} lies",
                 accepted=f"GVR_DATASETS, with {name}/ in it, or the data set's setting root",
             )
-        reader: Any = getattr(importlib.import_module(module), kind)
-        made: Dataset = reader(folder, Path(str(splats)).expanduser() if splats else None)
-        return made
+        return reader(folder, Path(str(splats)).expanduser() if splats else None)
 
     return make
 
 
-CAPTURED = {
-    "lerf_ovs": ("datasets.lerf_ovs", "LerfOvsDataset"),
-    "lerf_mask": ("datasets.lerf_mask", "LerfMaskDataset"),
-    "ovs3d": ("datasets.ovs3d", "Ovs3dDataset"),
+CAPTURED: dict[str, Callable[[Path, Path | None], Dataset]] = {
+    LERF_OVS: LerfOvsDataset,
+    LERF_MASK: LerfMaskDataset,
+    OVS3D: Ovs3dDataset,
 }
-"""Benchmarks of captures: name -> module and class of the reader."""
+"""Benchmarks of captures: name -> reader of a root and a folder of splats."""
 
 DATASETS: dict[str, tuple[Callable[..., Dataset], tuple[str, ...]]] = {
     "gallery": (_gallery, ("seeds",)),
     COMPOSITE: (_composed(COMPOSITE, LAYOUTS), ("splats",)),
     STRESS: (_composed(STRESS, STRESS_LAYOUTS), ("splats",)),
-    **{name: (_captured(name, *reader), ("root", "splats")) for name, reader in CAPTURED.items()},
+    **{name: (_captured(name, reader), ("root", "splats")) for name, reader in CAPTURED.items()},
 }
 """Name -> how to make it, and the settings it takes."""
 

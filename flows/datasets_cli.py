@@ -52,3 +52,19 @@ def datasets_check(
     Prints what was found, expected and missing, and every repair that reading needed.
     """
     raise typer.Exit(datasets_commands.datasets_check(path, layout, splats, splat))
+
+
+@datasets_app.command("export")
+def datasets_export(
+    dataset: Annotated[str, typer.Argument(help="A data set with exact truth, e.g. composite.")],
+    scene: Annotated[str, typer.Argument(help="One of its scenes.")],
+    layout: Annotated[
+        list[str] | None,
+        typer.Option(help="lerf_ovs, lerf_mask or ovs3d; may be given more than once. All if not."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Gets a folder for each layout; good for GVR_DATASETS.")
+    ] = Path("exported"),
+) -> None:
+    """Write a scene in the layouts of published benchmarks, to see a reader or a method work."""
+    datasets_commands.datasets_export(dataset, scene, layout or [], out)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -14,6 +14,12 @@ from datasets.base import Dataset, SceneData
 from datasets.cameras_file import has_cameras
 from datasets.capture import read_capture, read_images
 from datasets.composite import splats_folder
+from datasets.export_lerf_mask import export_lerf_mask
+from datasets.export_lerf_ovs import export_lerf_ovs
+from datasets.export_ovs3d import export_ovs3d
+from datasets.lerf_mask import LERF_MASK
+from datasets.lerf_ovs import NAME as LERF_OVS
+from datasets.ovs3d import OVS3D
 from datasets.recognise import CAPTURE, EXPECTED, NATIVE, Recognised, recognise
 from datasets.registry import (
     CAPTURED,
@@ -25,6 +31,7 @@ from datasets.registry import (
 )
 from datasets.splat_places import find_splat
 from gvr_core.errors import ConfigError, InputError, unknown_name
+from gvr_core.rendering import get_renderer
 
 EXIT_BAD_INPUT = 2
 
@@ -53,6 +60,36 @@ class Listed:
     """What is not there: scenes that papers report, or a scene's splat, cameras or folder."""
     problem: str | None
     """Why nothing of it can be read."""
+
+
+EXPORTS: dict[str, Callable[..., Path]] = {
+    LERF_OVS: export_lerf_ovs,
+    LERF_MASK: export_lerf_mask,
+    OVS3D: export_ovs3d,
+}
+"""Layouts that scenes can be written in."""
+
+
+def datasets_export(dataset: str, scene: str, layouts: Sequence[str], out: Path) -> None:
+    """``gvr datasets export``: a scene with exact truth, in published layouts.
+
+    Args:
+        dataset: Name of the data set.
+        scene: Name of the scene.
+        layouts: Names of the layouts; all where none is given.
+        out: Gets a folder for each layout, which may be given as GVR_DATASETS then.
+
+    Raises:
+        ConfigError: for a name that is not known.
+        DatasetError: for a scene that cannot be read, or has no room in a layout.
+    """
+    for layout in layouts:
+        if layout not in EXPORTS:
+            raise unknown_name("layout", layout, EXPORTS)
+    data = get_dataset(dataset, {}).load(scene)
+    for layout in layouts or EXPORTS:
+        folder = EXPORTS[layout](data, out / layout, get_renderer("numba"))
+        Console(soft_wrap=True).print(str(folder), markup=False, highlight=False)
 
 
 def datasets_ls(as_json: bool) -> None:

@@ -224,6 +224,7 @@ def _outcome(line: Line, job: SceneJob, runs: dict[str, StageRun]) -> SceneOutco
         picture_size=(camera.width, camera.height),
         models=job.model_names(),
         digests=dict(job.data.digests),
+        original=job.data.original,
         prepare_seconds=sum(runs[stage].record.seconds for stage in PREPARATION if stage in runs),
         query_seconds=sum(seconds) / len(seconds) if seconds else 0.0,
         stages=tuple(_timing(run) for run in runs.values()),

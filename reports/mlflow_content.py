@@ -21,6 +21,7 @@ from reports.mlflow_run import (
     common_tags,
     finite,
     flatten,
+    is_class_mean,
     metric_name,
     safe_items,
     safe_key,
@@ -153,7 +154,10 @@ def _overall_line(result: Result, summary: Aggregate, dataset: str, method: str)
                     c.key for c in HEADLINE if (c.protocol, c.metric) == (part.protocol, metric)
                 ]
                 for alias in dict.fromkeys([name, *aliases]):
-                    line[alias] = mean.scene_macro
+                    own = mean.class_macro if is_class_mean(part.protocol) else mean.scene_macro
+                    line[alias] = own
+                    line[f"{alias}_flat"] = mean.scene_macro
+                    line[f"{alias}_class_macro"] = mean.class_macro
                     line[f"{alias}_micro"] = mean.micro
     done = [
         item

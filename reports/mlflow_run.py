@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gvr_core.metrics import FLAGS_3D, IN_SCENE_2D
+from gvr_core.protocols import PROTOCOLS
 from reports.headline import HEADLINE
 from reports.record import Result
 
@@ -58,12 +58,18 @@ class RunContent:
 
 
 def metric_name(protocol: str, metric: str) -> str:
-    """What a protocol's metric is called in MLflow."""
-    if protocol == IN_SCENE_2D:
-        return safe_key("miou" if metric == "iou" else metric)
-    if protocol == FLAGS_3D:
-        return safe_key(f"{metric}_3d")
+    """What a protocol's metric is called in MLflow: the protocol's id is part of it."""
     return safe_key(f"{protocol}/{metric}")
+
+
+def is_class_mean(protocol: str) -> bool:
+    """Whether a protocol averages over classes first; those that are not known here do not."""
+    return protocol in PROTOCOLS and PROTOCOLS[protocol].mean == "class"
+
+
+def is_main(protocol: str, metric: str) -> bool:
+    """Whether a metric is one of its protocol's main numbers."""
+    return protocol in PROTOCOLS and metric in dict(PROTOCOLS[protocol].headline)
 
 
 def safe_key(name: str) -> str:

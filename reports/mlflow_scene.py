@@ -21,6 +21,8 @@ from reports.mlflow_run import (
     common_tags,
     finite,
     flatten,
+    is_class_mean,
+    is_main,
     metric_name,
     safe_items,
     safe_key,
@@ -99,15 +101,17 @@ def _scene_points(item: SceneResult, summary: Aggregate) -> Iterator[Point]:
             continue
         for metric, mean in part.metrics.items():
             name = metric_name(part.protocol, metric)
-            yield Point(name, mean.mean)
+            # The protocol's own mean first; the others beside it under names of their own.
+            yield Point(name, mean.class_macro if is_class_mean(part.protocol) else mean.mean)
             if mean.n_undefined:
                 yield Point(f"n_undefined/{name}", mean.n_undefined)
+            if is_main(part.protocol, metric):
+                yield Point(f"flat/{name}", mean.mean)
+                yield Point(f"class_macro/{name}", mean.class_macro)
+                yield Point(f"coverage/{name}", mean.coverage)
             for column in HEADLINE:
                 if (column.protocol, column.metric) == (part.protocol, metric):
-                    if column.key != name:
-                        yield Point(column.key, mean.mean)
-                    yield Point(f"class_macro/{column.key}", mean.class_macro)
-                    yield Point(f"coverage/{column.key}", mean.coverage)
+                    yield Point(column.key, mean.mean)
         yield Point(f"n_rows/{safe_key(part.protocol)}", part.n_rows)
         if part.n_absent:
             yield Point(f"n_absent/{safe_key(part.protocol)}", part.n_absent)

@@ -4,11 +4,10 @@ Measured numbers and published ones never share a sheet. Below the measured shee
 that numbers were published on stand the published ones, each method marked †, then the times
 published with them, then the differences of the two where a measured method is one of those.
 
-A run does not know whether its scenes are the original ones: a scene of another origin may be
-written in a data set's layout, even under the name of one of its scenes. So until the caller says
-that the data are the originals, published rows and differences carry the line "published on the
-original data, not on these scenes". Scenes that do not bear the name of a published one have no
-differences; where the caller says that the data are not the originals, there are none at all.
+A scene of another origin may be written in a data set's layout, even under the name of one of its
+scenes. So unless all scenes of a data set are taken for the originals, published rows and
+differences carry the line "published on the original data, not on these scenes". Scenes that do
+not bear the name of a published one have no differences.
 """
 
 from __future__ import annotations
@@ -74,8 +73,8 @@ def paper_sheets(
         summary: Its averages.
         wide: A line per method with all numbers of a scene in one cell, as documents have it;
             else a line per number, as fits a terminal.
-        original: Whether the scenes are the original data of their data sets; None where that is
-            not known.
+        original: Whether the scenes are the original data of their data sets; as the result has
+            it where None.
         datasets: The data sets that are wanted; all of the run where None.
     """
     sheets = []
@@ -111,6 +110,8 @@ def published_sheets(
         None for a data set that nothing was published on, and where the run has no numbers of a
         protocol that published ones may stand beside.
     """
+    if original is None and all(s.original for s in result.scenes if s.dataset == dataset):
+        original = True
     setting = _Setting(result, summary, dataset, wide, original)
     tables = [columns for columns in headings(summary, dataset) if is_own(columns)]
     sheets = []

@@ -112,6 +112,8 @@ class SceneResult(_Record):
     """Which of several sets of models it ran with; empty where there is one without a label."""
     reference: str | None = None
     """``method`` of the results that these are compared with, on the same scenes."""
+    original: bool = False
+    """Whether the scene is taken for the data that published numbers are on."""
 
     @property
     def shown_label(self) -> str:

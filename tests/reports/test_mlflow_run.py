@@ -51,9 +51,9 @@ def test_a_cut_value_says_so() -> None:
 
 
 def test_metric_names_tell_protocols_apart() -> None:
-    assert metric_name(PLANE, "iou") == "miou"
-    assert metric_name(PLANE, "acc_at_0.25") == "acc_at_0.25"
-    assert metric_name(SOLID, "iou") == "iou_3d"
+    assert metric_name(PLANE, "iou") == "gvr.in_scene_2d/1/iou"
+    assert metric_name(PLANE, "acc_at_0.25") == "gvr.in_scene_2d/1/acc_at_0.25"
+    assert metric_name(SOLID, "iou") == "flags_3d/1/iou"
     assert metric_name(REFUSAL, "found") == "refusal/1/found"
 
 
