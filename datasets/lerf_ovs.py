@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from PIL import Image
 
@@ -26,7 +26,14 @@ from datasets.base import GroundTruth, SceneData
 from datasets.capture import Capture, CaptureImage, read_capture
 from datasets.frames import match_frame
 from datasets.lerf_labels import FrameLabels, read_frame_labels
-from datasets.mask_folders import Notes, camera_at_size, digests, entries, queries_for
+from datasets.mask_folders import (
+    Notes,
+    camera_at_size,
+    digests,
+    entries,
+    queries_for,
+    view_names,
+)
 from datasets.picture_folder import picture_size
 from datasets.provenance import is_original
 from gvr_core.errors import DatasetError, unknown_name
@@ -103,10 +110,11 @@ class LerfOvsDataset:
         labels = _read_labels(self._root / LABELS / scene, notes)
         capture = read_capture(self._root / scene, scene, splats=self._splats)
         frames = _frames(labels, capture, notes)
+        names = view_names(capture.images, self._root / scene)
         knowledge = tuple(
-            View(_view_name(image), image.camera, image.path) for image in capture.images
+            View(names[image.name], image.camera, image.path) for image in capture.images
         )
-        tests = tuple(_test_view(image, frame, notes) for image, frame in frames)
+        tests = tuple(_test_view(image, names[image.name], frame, notes) for image, frame in frames)
         objects = tuple(dict.fromkeys(name for frame in labels for name in frame.masks))
         if not objects:
             raise DatasetError(
@@ -229,16 +237,12 @@ def _frames(
     return frames
 
 
-def _test_view(image: CaptureImage, frame: FrameLabels, notes: Notes) -> View:
+def _test_view(image: CaptureImage, name: str, frame: FrameLabels, notes: Notes) -> View:
     """The view of a labelled frame, with as many pixels as its labels."""
     camera = camera_at_size(image.camera, frame.size, frame.path, notes)
     own_size = frame.size == (image.camera.width, image.camera.height)
     picture = _picture(frame) or (image.path if own_size else None)
-    return View(_view_name(image), camera, picture)
-
-
-def _view_name(image: CaptureImage) -> str:
-    return str(PurePosixPath(image.name).with_suffix(""))
+    return View(name, camera, picture)
 
 
 def _note_alike(objects: Sequence[str], notes: Notes) -> None:

@@ -62,7 +62,8 @@ def run(
     )
     resolve_scenes(suite.datasets)
     for line in suite.lines():
-        require_weights(line.models)
+        if line.method.needs_books:
+            require_weights(line.models)
 
     from flows.benchmark import run_benchmark
     from tasks.prefect_runtime import prefect_runtime

@@ -89,6 +89,11 @@ def make_lines(methods: Sequence[MethodConfig], models: Sequence[ModelSet]) -> t
             return SEPARATOR.join(filter(None, (method.shown_name, label)))
 
         for i, method in enumerate(methods):
+            if not method.needs_books:  # no models have a part in it, so one line is all
+                if chosen is models[0]:
+                    label = method.shown_name
+                    lines.append(Line(label, label, "", method, settings, None))
+                continue
             base, *ablated = variants(method)
             against = name(methods[0]) if i else None
             lines.append(Line(name(base), base.shown_name, chosen.label, base, settings, against))

@@ -74,7 +74,7 @@ def make_job(
         ModelError: for weights that are missing or wrong.
     """
     check_method(method.method)
-    models = models or ModelConfig()
+    models = (models if method.needs_books else None) or ModelConfig()
     if method.encoder_override:
         models = models.model_copy(update={"encoder": method.encoder_override})
     world = oracle_world(data, renderer) if needs_world(models) else None

@@ -38,7 +38,7 @@ def score_again(folder: Path, protocols: Sequence[str], store: Path, results: Pa
             predictions that are no longer in the store.
         InputError: for a scene that cannot be read.
     """
-    ids = [protocol(name).id for name in protocols]
+    ids = list(dict.fromkeys(protocol(name).id for name in protocols))
     result, _ = read_result(folder)
     start, created = time.perf_counter(), datetime.now(UTC)
     suite = SuiteConfig.model_validate(_suite_part(result))
@@ -57,7 +57,9 @@ def score_again(folder: Path, protocols: Sequence[str], store: Path, results: Pa
         rows += _rows(loaded[key], scene, suite, known, ids)
         # Pictures belong to the first result: nothing was grounded here.
         bare = tuple(query.model_copy(update={"picture": None}) for query in scene.queries)
-        scenes.append(scene.model_copy(update={"queries": bare}))
+        data = loaded[key]
+        changes = {"queries": bare, "digests": dict(data.digests), "original": data.original}
+        scenes.append(scene.model_copy(update=changes))
     again = Result(
         run_id=new_run_id(),
         suite=result.suite,

@@ -17,7 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from datasets.registry import check_dataset, get_dataset
+from datasets.registry import FOLDER, check_dataset, get_dataset
 from flows.lines import BUNDLED, Line, ModelSet, make_lines
 from gvr_core.errors import ConfigError, unknown_name
 from gvr_core.methods import METHODS, MethodConfig, check_method, variants
@@ -38,6 +38,13 @@ class DatasetChoice(BaseModel):
     """Names of scenes; all of them where left out."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """What the data set itself can be told, e.g. where its splats lie."""
+
+    @field_validator("name")
+    @classmethod
+    def _one_spelling(cls, name: str) -> str:
+        # As the data set itself is called: results are found again by that.
+        folder = name.removeprefix(FOLDER)
+        return name if folder == name else f"{FOLDER}{Path(folder)}"
 
 
 class SuiteConfig(BaseModel):

@@ -1,8 +1,7 @@
 """The content of one MLflow run, and the names and lengths that MLflow takes.
 
-Metrics of the headline protocols have short names: those of ``gvr.in_scene_2d/1`` their own
-(``acc_peak``, ``acc_at_0.25``; ``miou`` for the mean of ``iou``), those of ``flags_3d/1`` with
-``_3d`` behind. Any other protocol's are called ``<protocol>/<metric>``.
+A metric is called ``<protocol>/<metric>``, e.g. ``lerf_mask.gg/1/iou``, and its value is the
+protocol's own mean. Our headline numbers have short names besides (`reports.headline`).
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Run
 
-LAYOUT = 2
+LAYOUT = 3
 """Version of the names and contents of runs; a sync by a newer one fills old runs again."""
 WHOLE_TAG = "gvr.synced"
 """Set last, to the layout and the digest of the record."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.base import SceneData
-from gvr_core.errors import DatasetError
+from gvr_core.errors import DatasetError, some_of
 from gvr_core.gaussians import Gaussians
 from gvr_core.metrics import FLAGS_3D, REFUSAL, flags_3d, refusal, truth_box
 from gvr_core.protocols import protocol
@@ -19,8 +19,9 @@ from gvr_core.rendering import Renderer
 from gvr_core.scene import Query, View
 from tasks.groundings import Answer
 
-MISSING = "missing"
-"""Metric, always 1, of a prediction that was not made and that its protocol skips."""
+SKIPPED = "skipped"
+"""Metric, always 1, of a labelled pair that its protocol gives no number for: the prediction was
+not made, or is of a kind that it does not know. Such a pair was expected, and is not covered."""
 
 PLACED = "acc_center"
 """Metric of L_3D, which pictures do not have: a zero would say that it was wrong."""
@@ -34,7 +35,7 @@ class SceneScores:
     """What scoring a scene gave."""
 
     rows: list[Scored]
-    """In the order of queries; a pair that the protocol skips has only :data:`MISSING`."""
+    """In the order of queries; a pair that the protocol skips has only :data:`SKIPPED`."""
     unlabelled: int
     """(query, test view) pairs left out because the object is not labelled there."""
     left_out: int
@@ -60,10 +61,16 @@ def score_scene(
 
     Raises:
         ConfigError: for a protocol that is not known.
-        DatasetError: for a given picture that is not of its view's size.
+        DatasetError: for a given picture that is not of its view's size, or of no test view.
     """
+    _check_views(data, answers)
     ids = data.protocols if protocols is None else tuple(protocols)
-    specs = [spec for spec in map(protocol, ids) if spec.score_pair or spec.score_view]
+    specs = [
+        spec
+        for spec in map(protocol, ids)
+        # Classes that were not asked for cannot compete, so a part of the queries is no contest.
+        if spec.score_pair or (spec.score_view and len(queries) == len(data.queries))
+    ]
     rows: list[list[Scored]] = [
         _without_views(data, query, answer, ids)
         for query, answer in zip(queries, answers, strict=True)
@@ -78,11 +85,10 @@ def score_scene(
         said = {i: predict(data, answers[i], view, renderer, isolated) for i in shown}
         for spec in specs:
             for i, metrics in _in_view(spec, queries, said, truths).items():
-                if metrics is None and not said[i].missing:
+                if not metrics and not truths[i].mask.any():
                     left_out += 1
                     continue
-                # A pair that was expected and that the protocol skips: it counts as not covered.
-                counted = {MISSING: 1.0} if metrics is None else dict(metrics)
+                counted = dict(metrics or {SKIPPED: 1.0})
                 if answers[i].given is not None:
                     counted.pop(PLACED, None)
                 rows[i].append(_row(queries[i], spec.id, view.name, counted))
@@ -106,6 +112,8 @@ def predict(
     """
     if answer.given is not None:
         return _given(answer.given.get(view.name), view)
+    if not answer.answered:
+        return _given(None, view)
     gaussians = data.scene.gaussians
     alone = None
     if isolated:
@@ -145,14 +153,29 @@ def _without_views(
     rows: list[Scored] = []
     if query.target is None and not query.absent:  # nobody knows the answer
         return rows
-    if REFUSAL in ids:
-        said = refusal(answer.found, absent=query.target is None)
-        rows.append(_row(query, REFUSAL, None, said))
+    # Who has not answered has not refused either.
+    if REFUSAL in ids and answer.answered:
+        found = answer.found
+        if answer.given is not None:
+            tests = (answer.given.get(view.name) for view in data.truth.test_views)
+            found = any(picture is not None and picture.any() for picture in tests)
+        rows.append(_row(query, REFUSAL, None, refusal(found, absent=query.target is None)))
     flags = None if query.target is None else data.truth.flags(query.target)
     if FLAGS_3D in ids and flags is not None and answer.given is None:
         metrics = flags_3d(answer.flags, flags, data.scene.gaussians.means, answer.location)
         rows.append(_row(query, FLAGS_3D, None, metrics))
     return rows
+
+
+def _check_views(data: SceneData, answers: Sequence[Answer]) -> None:
+    """Refuse pictures of views that nothing is labelled in: they would be passed over."""
+    known = {view.name for view in data.truth.test_views}
+    strange = {name for answer in answers for name in answer.given or ()} - known
+    if strange:
+        raise DatasetError(
+            f"predictions for {some_of(sorted(strange))}, where nothing is labelled",
+            accepted=f"the test views of {data.scene.name}: {some_of(sorted(known), 12)}",
+        )
 
 
 def _in_view(

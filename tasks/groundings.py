@@ -32,6 +32,8 @@ class Answer:
     confidence: float
     given: Mapping[str, NDArray[Any]] | None = None
     """View name -> mask or relevancy maps, of methods that give pictures; see ``Grounding``."""
+    answered: bool = True
+    """Whether there is an answer at all."""
 
 
 def pack_localization(localization: Localization | None) -> dict[str, Any] | None:
@@ -104,6 +106,8 @@ def pack_groundings(groundings: Sequence[Grounding], n: int) -> dict[str, NDArra
     }
     if not np.array_equal(scores, flags):
         arrays["scores"] = scores
+    if not all(g.answered for g in groundings):
+        arrays["answered"] = np.array([g.answered for g in groundings], np.bool_)
     return arrays | _pack_given(groundings) | _pack_evidence(groundings)
 
 
@@ -122,6 +126,7 @@ def unpack_answers(arrays: Mapping[str, NDArray[Any]]) -> list[Answer]:
             bool(found),
             float(arrays["confidence"][i]),
             pictures.get(i),
+            bool(arrays["answered"][i]) if "answered" in arrays else True,
         )
         for i, found in enumerate(arrays["found"])
     ]

@@ -66,8 +66,13 @@ class SceneJob:
         return f"{self.data.scene.dataset}/{self.data.scene.name}"
 
     def model_names(self) -> dict[str, str]:
-        """Renderer and models, each with version, settings and digests of its weights."""
+        """Renderer and models, each with version, settings and digests of its weights.
+
+        No models for a method that looks at no picture.
+        """
         models = self.tools.models
+        if not self.method.needs_books:
+            return {"renderer": self.tools.renderer.name}
         return {
             "renderer": self.tools.renderer.name,
             "segmenter": models.segmenter.name,
@@ -77,12 +82,13 @@ class SceneJob:
 
     def config(self) -> dict[str, Any]:
         """The whole configuration that results depend on, as JSON values."""
-        encoder = self.tools.models.encoder.name
+        none = dict.fromkeys(("segmenter", "encoder", "text_segmenter"), "none")
+        names = none | self.model_names()
         return {
             "method": self.method.method,
             **self.method.settings(),
-            **self.model_names(),
-            "calibration": calibration_of(encoder).model_dump(mode="json"),
+            **names,
+            "calibration": calibration_of(names["encoder"]).model_dump(mode="json"),
             "protocols": list(self.data.protocols),
         }
 

@@ -45,6 +45,8 @@ class Grounding:
     given: Mapping[str, NDArray[Any]] | None = None
     """View name -> what a method of pictures says there, instead of flags: (H, W) uint8 grey mask
     or (L, H, W) float32 relevancy maps. None for methods that flag Gaussians."""
+    answered: bool = True
+    """Whether there is an answer at all; others' predictions may lack one."""
 
 
 class Method(Protocol):

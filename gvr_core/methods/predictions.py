@@ -6,14 +6,15 @@
     <folder>/<scene>/<view>/<prompt>.npy     relevancy maps, (H, W) or (L, H, W) float
     <folder>/<scene>/flags/<prompt>.npy      (N,) bool, or rows of the flagged Gaussians, from 0
 
-A scene has either pictures or flags. ``<prompt>`` is the text as the data set writes it, or the
-query's id; ``<view>`` is the test view's name. A file that is not there is a prediction that was
-not made: the protocol says what that costs.
+A scene has either pictures or flags. ``<prompt>`` is the text as the data set writes it; where
+that cannot be a file name, the query's id. ``<view>`` is the test view's name. A file that is not
+there is a prediction that was not made: the protocol says what that costs.
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,9 @@ from gvr_core.scene import Query, Scene
 FLAGS = "flags"
 """Name of the folder of per-Gaussian flags, in place of a view's."""
 
+MODES = ("1", "L", "RGB")
+"""Pillow's modes of pictures whose grey value says all that they hold."""
+
 LARGEST = 2**31
 """Bytes of the largest array that is read: a header may promise anything."""
 
@@ -51,11 +55,9 @@ class PredictionsConfig(BaseModel):
         Raises:
             DatasetError: if no folder is named, or it is not there.
         """
-        digest = hashlib.sha256()
-        for path in sorted(_root(self).rglob("*")):
-            if path.is_file():
-                name = path.relative_to(_root(self)).as_posix()
-                digest.update(f"{name} {file_digest(path)}\n".encode())
+        root, digest = _root(self), hashlib.sha256()
+        for path in sorted(_files(root, frozenset())):
+            digest.update(f"{path.relative_to(root).as_posix()} {file_digest(path)}\n".encode())
         return digest.hexdigest()
 
 
@@ -102,12 +104,13 @@ class Predictions:
 
         Returns:
             Flags, where the scene's folder has them; else pictures by view, and flags that are
-            all False. Found means that anything is set in any of them.
+            all False. Found means that anything is set in any of them; answered, that there is
+            a file at all.
 
         Raises:
-            DatasetError: for a file that cannot be read, is of another kind, or stands there
-                under both of a prompt's names; for a scene without a folder, or with one that
-                holds both flags and views.
+            DatasetError: for a file that cannot be read or is of another kind, a prompt with a
+                .png and a .npy, a scene without a folder, or with one that holds both flags and
+                views.
         """
         folder = self._scene(scene.name)
         flags = folder / FLAGS
@@ -115,7 +118,7 @@ class Predictions:
         if flags.is_dir():
             path = _find(flags, query, (".npy",))
             if path is None:
-                return nothing
+                return replace(nothing, answered=False)
             flagged = _read_flags(path, len(scene.gaussians))
             return replace(
                 nothing,
@@ -130,7 +133,9 @@ class Predictions:
             if path is not None:
                 given[view.name] = _read_mask(path) if path.suffix == ".png" else _read_maps(path)
         found = any(bool(picture.any()) for picture in given.values())
-        return replace(nothing, given=given, found=found, confidence=float(found))
+        return replace(
+            nothing, given=given, found=found, confidence=float(found), answered=bool(given)
+        )
 
     def _scene(self, name: str) -> Path:
         folder = self._root / name
@@ -162,10 +167,22 @@ def _root(config: PredictionsConfig) -> Path:
     return folder
 
 
+def _files(folder: Path, above: frozenset[Path]) -> Iterator[Path]:
+    """All files below a folder; links are followed, as they are where answers are read."""
+    here = folder.resolve()
+    if here in above:
+        raise DatasetError("a link leads back to a folder above it", path=folder)
+    for path in folder.iterdir():
+        if path.is_dir():
+            yield from _files(path, above | {here})
+        elif path.is_file():
+            yield path
+
+
 def _find(folder: Path, query: Query, endings: tuple[str, ...]) -> Path | None:
     """The file of a query; None where there is none."""
-    # Compared with what is there: a text may hold what would lead to another folder.
-    names = {f"{stem}{ending}" for stem in (query.text, query.id) for ending in endings}
+    stem = query.id if "/" in query.text or query.text.startswith(".") else query.text
+    names = {f"{stem}{ending}" for ending in endings}
     found = sorted(path for path in folder.iterdir() if path.name in names and path.is_file())
     if len(found) > 1:
         raise DatasetError(
@@ -179,20 +196,37 @@ def _find(folder: Path, query: Query, endings: tuple[str, ...]) -> Path | None:
 def _read_mask(path: Path) -> NDArray[np.uint8]:
     try:
         with Image.open(path, formats=("PNG",)) as picture:
-            return np.array(picture.convert("L"))
+            mode, grey = picture.mode, np.array(picture.convert("L"))
     except Exception as error:  # decoders answer damaged files with errors of many kinds
         raise DatasetError(f"cannot be decoded: {error}", path=path, accepted="a PNG") from error
+    if mode not in MODES:
+        raise DatasetError(
+            f"pixels of the mode {mode}",
+            path=path,
+            accepted="black and white, 8-bit grey or RGB: no palette, no alpha, no 16 bits",
+        )
+    if grey.max() == 1:
+        raise DatasetError(
+            "all pixels are 0 or 1", path=path, accepted="a mask of 0 and 255, or grey values"
+        )
+    return grey
 
 
 def _read_maps(path: Path) -> NDArray[np.float32]:
     maps = _read_array(path)
     if maps.ndim == 2:
         maps = maps[None]
-    if maps.ndim != 3 or maps.dtype.kind != "f" or not np.isfinite(maps).all():
+    if maps.ndim != 3 or not maps.size or maps.dtype.kind != "f":
         raise DatasetError(
             f"an array of shape {maps.shape} and dtype {maps.dtype}",
             path=path,
-            accepted="finite relevancies, (H, W) or (L, H, W) float",
+            accepted="relevancies, (H, W) or (L, H, W) float",
+        )
+    if not (np.isfinite(maps).all() and maps.min() >= 0 and maps.max() <= 1):
+        raise DatasetError(
+            f"values from {maps.min()} to {maps.max()}",
+            path=path,
+            accepted="relevancies from 0 to 1, as LERF defines them",
         )
     return maps.astype(np.float32)
 
@@ -203,11 +237,16 @@ def _read_flags(path: Path, n: int) -> NDArray[np.bool_]:
         return array
     flags = np.zeros(n, np.bool_)
     rows = array if array.ndim == 1 and array.dtype.kind in "iu" else None
-    if rows is None or (len(rows) and not 0 <= rows.min() <= rows.max() < n):
+    if (
+        rows is None
+        or (len(rows) and not 0 <= rows.min() <= rows.max() < n)
+        # Zeros and ones for each Gaussian are a mask that lost its type, and no rows.
+        or len(np.unique(rows)) < len(rows)
+    ):
         raise DatasetError(
             f"an array of shape {array.shape} and dtype {array.dtype}",
             path=path,
-            accepted=f"({n},) bool, or rows of Gaussians from 0 to {n - 1}",
+            accepted=f"({n},) bool, or rows of Gaussians from 0 to {n - 1}, each once",
         )
     flags[rows] = True
     return flags

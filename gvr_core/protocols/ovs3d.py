@@ -46,7 +46,7 @@ def exclusive(
 
     Equal scores go to the class that sorts first, so pixels that no class claims do too: there is
     no class for nothing. A class that neither the truth nor the prediction has scores 0 as in the
-    source, whose Jaccard index is scikit-learn's. Missing predictions score zero everywhere.
+    source, whose Jaccard index is scikit-learn's. A missing prediction claims no pixel.
 
     Args:
         predictions: Class -> prediction.
@@ -74,7 +74,10 @@ def exclusive(
         raise DatasetError("masks of several sizes in one view", accepted="one size")
     if not names:
         return {}
-    given = np.argmax(np.stack([predictions[name].soft for name in names]), axis=0)
+    soft = [predictions[name].soft - np.float32(predictions[name].missing) for name in names]
+    given = np.argmax(np.stack(soft), axis=0)
+    if all(predictions[name].missing for name in names):
+        given[:] = len(names)  # nobody's
     labels = np.zeros(given.shape, np.int32)
     right = np.zeros(given.shape, np.bool_)
     scores: dict[str, float] = {}

@@ -75,7 +75,8 @@ method = "random-patch"
 def run(gvr, home: Path, *arguments: str) -> tuple[Result, tuple[Row, ...], str]:
     code, out, error = gvr("run", *arguments, "--quiet", "--no-mlflow")
     assert code == 0, error
-    return (*read_result(max((home / "results").iterdir())), out)
+    newest = max((home / "results").iterdir(), key=lambda path: path.stat().st_mtime_ns)
+    return (*read_result(newest), out)
 
 
 @pytest.mark.parametrize("name", EXPORTS)
@@ -132,6 +133,13 @@ predictions = {{ folder = "{tmp_path / "truth"}" }}
         # Closed-set: what no class claims goes to the class that sorts first, here the floor too.
         if (row.protocol, row.target) != ("ovs3d.exclusive/1", first):
             assert row.metrics["iou"] == 1, (row.protocol, row.text, row.view)
+    pairs = sum(
+        data.truth.is_labelled(view, name)
+        for view in data.truth.test_views
+        for name in data.truth.objects
+    )
+    for protocol_id in set(data.protocols) - {REFUSAL}:
+        assert sum(row.protocol == protocol_id for row in scored) == pairs
     for row in scored:
         if row.protocol == "lerf_ovs.langsplat_2d/1":
             assert row.metrics["acc"] == 1

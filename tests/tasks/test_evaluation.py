@@ -98,7 +98,7 @@ def test_a_missing_prediction_is_nothing_or_is_skipped_as_the_protocol_says(
     metrics = {(row["protocol"], row["view"] == one): row["metrics"] for row in red}
     assert metrics["lerf_mask.gg/1", False]["iou"] == 0
     assert metrics["lerf_mask.gg_compat/1", True]["iou"] == 0
-    assert metrics["lerf_mask.gg_compat/1", False] == {"missing": 1.0}, "expected, and skipped"
+    assert metrics["lerf_mask.gg_compat/1", False] == {"skipped": 1.0}, "expected, and skipped"
 
 
 def test_prompts_that_compete_take_part_once_an_object(data: SceneData) -> None:
@@ -108,6 +108,39 @@ def test_prompts_that_compete_take_part_once_an_object(data: SceneData) -> None:
     rows = scores(data, [red, red, blue, red], "ovs3d.exclusive/1").rows
     here = {row["query"] for row in rows if row["view"] == one}
     assert "red" in here and "red-again" not in here
+
+
+def test_a_missing_class_claims_nothing(data: SceneData) -> None:
+    """Else the class that sorts first would get every pixel that no other class claims."""
+    one = data.truth.test_views[0].name
+    nothing = pictures(data)
+    red = pictures(data, **{one: (data.truth.mask(data.truth.test_views[0], RED) * 255)})
+    rows = scores(data, [red, red, nothing, red], "ovs3d.exclusive/1").rows
+    found = {row["query"]: row["metrics"]["iou"] for row in rows if row["view"] == one}
+    assert found["blue"] == 0
+    rows = scores(data, [nothing] * 4, "ovs3d.exclusive/1").rows
+    assert all(row["metrics"]["iou"] == 0 for row in rows)
+
+
+def test_a_part_of_the_queries_is_no_contest(data: SceneData) -> None:
+    one = data.truth.test_views[0].name
+    red = pictures(data, **{one: blank(data) + np.uint8(200)})
+    assert not score_scene(data, QUERIES[:1], [red], RENDERER, ["ovs3d.exclusive/1"]).rows
+
+
+def test_what_a_protocol_gives_no_number_for_was_expected(data: SceneData) -> None:
+    one = data.truth.test_views[0].name
+    maps = pictures(data, **{one: blank(data)[None].astype(np.float32)})
+    rows = scores(data, [maps] * 4, "lerf_ovs.opengaussian_3d/1").rows
+    assert [r["metrics"] for r in rows if r["query"] == "red" and r["view"] == one] == [
+        {"skipped": 1.0}
+    ]
+
+
+def test_pictures_of_other_views_are_refused(data: SceneData) -> None:
+    strange = pictures(data, elsewhere=blank(data))
+    with pytest.raises(DatasetError, match="predictions for elsewhere"):
+        scores(data, [strange] * 4, "ovs3d.binary/1")
 
 
 def test_flags_are_drawn_and_compared_in_3d(data: SceneData) -> None:
