@@ -19,6 +19,7 @@ from datasets.base import GroundTruth, SceneData
 from datasets.export_lerf_ovs import export_lerf_ovs
 from datasets.images import read_image, write_png
 from datasets.lerf_ovs import LerfOvsDataset
+from datasets.provenance import MARKER
 from gvr_core.errors import DatasetError
 from gvr_core.protocols.base import Box
 from gvr_core.rendering.base import get_renderer
@@ -100,7 +101,9 @@ def test_the_layout_is_the_published_one(made: tuple[SceneData, Path]) -> None:
     assert sorted(p.name for p in (root / "label" / SCENE).iterdir()) == [
         f"{frame}.{suffix}" for frame in FRAMES for suffix in ("jpg", "json")
     ]
-    assert sorted(p.name for p in (root / SCENE).iterdir()) == ["images", "point_cloud", "sparse"]
+    assert sorted(p.name for p in (root / SCENE).iterdir()) == [
+        MARKER, "images", "point_cloud", "sparse",
+    ]  # fmt: skip
 
 
 def test_an_export_does_not_replace_anything(made: tuple[SceneData, Path], root: Path) -> None:
