@@ -44,7 +44,8 @@ def run(
     suite: Annotated[
         str,
         typer.Argument(
-            help="A bundled suite (bench, composite, ablation, stress) or a .toml file."
+            help="A bundled suite (bench, composite, ablation, stress; lerf_ovs, lerf_mask, "
+            "ovs3d, which need their data) or a .toml file."
         ),
     ] = DEFAULT_SUITE,
     method: Annotated[
