@@ -153,8 +153,8 @@ def test_oracles_on_a_scene_without_labels_fail_with_a_reason(
 
     real = scene_module.load_scene
 
-    def unlabelled(choice, scene):
-        data = real(choice, scene)
+    def unlabelled(choice, scene, exclude_eval_views):
+        data = real(choice, scene, exclude_eval_views)
         return dataclasses.replace(data, truth=dataclasses.replace(data.truth, labels=None))
 
     monkeypatch.setattr(scene_module, "load_scene", unlabelled)
