@@ -7,8 +7,8 @@ import dataclasses
 import json
 import shutil
 import time
+from datetime import UTC, datetime
 from pathlib import Path
-from uuid import UUID
 
 import pytest
 from prefect import get_client
@@ -44,24 +44,26 @@ def states(outcome: BenchmarkOutcome) -> dict[str, str]:
     return {timing.stage: timing.state for timing in scene.stages}
 
 
-def task_runs() -> dict[UUID, tuple[str, str]]:
-    """Id -> stage and state of the newest task runs that the server knows."""
+def new_task_runs(since: datetime) -> list[tuple[str, str]]:
+    """Stage and state of the task runs that began since then.
 
-    async def read() -> dict[UUID, tuple[str, str]]:
+    The server learns of them a moment later, and of those of earlier tests perhaps only now.
+    """
+
+    async def read() -> list[tuple[str, str]]:
         async with get_client() as client:
             runs = await client.read_task_runs(sort=TaskRunSort.EXPECTED_START_TIME_DESC, limit=100)
             # A flow inside a flow stands among the task runs too.
-            named = {run.id: (run.name.split(" ")[0], run.state_name or "") for run in runs}
-            return {key: run for key, run in named.items() if run[0] in STAGES}
+            named = [
+                (run.name.split(" ")[0], run.state_name or "")
+                for run in runs
+                if run.expected_start_time is not None and run.expected_start_time >= since
+            ]
+            return [run for run in named if run[0] in STAGES]
 
-    return asyncio.run(read())
-
-
-def new_task_runs(before: dict[UUID, tuple[str, str]]) -> list[tuple[str, str]]:
-    """Stage and state of the task runs since then; the server learns of them a moment later."""
     fresh: list[tuple[str, str]] = []
     for _ in range(60):
-        fresh = [run for key, run in task_runs().items() if key not in before]
+        fresh = asyncio.run(read())
         if len(fresh) >= len(STAGES) and all(s in ("Completed", "Cached") for _, s in fresh):
             break
         time.sleep(0.5)
@@ -69,11 +71,11 @@ def new_task_runs(before: dict[UUID, tuple[str, str]]) -> list[tuple[str, str]]:
 
 
 def test_a_second_run_computes_nothing(bench, suite, prefect_server) -> None:
-    before = task_runs()
+    before = datetime.now(UTC)
     first = bench(suite)
     assert states(first) == dict.fromkeys(STAGES, "computed")
     assert new_task_runs(before) == sorted((stage, "Completed") for stage in STAGES)
-    before = task_runs()
+    before = datetime.now(UTC)
     second = bench(suite)
     assert states(second) == dict.fromkeys(STAGES, "cached")
     assert new_task_runs(before) == sorted((stage, "Cached") for stage in STAGES)
