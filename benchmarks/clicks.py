@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from gvr_core.cameras import Camera, intrinsics, look_at
-from gvr_core.models.base import Frame, Mask
+from gvr_core.models.base import Mask
 from gvr_core.models.full_strength import onnx_folder
 from gvr_core.models.sam_onnx import OnnxSam
 from gvr_core.models.sam_prompts import SparseSamSettings
@@ -25,18 +24,10 @@ from reports.document import replace_block
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from outlines import photograph, read_outlines
+from photograph_frames import photograph_frame
 
 BLOCK = "clicks"
 """Name of the block of the page that ``--into`` rewrites."""
-
-
-def photograph_frame(rgb8: NDArray[np.uint8]) -> Frame:
-    """A frame without depth."""
-    height, width = rgb8.shape[:2]
-    pose = look_at((0, -3, 1), (0, 0, 0), (0, 0, 1))
-    camera = Camera(intrinsics(50, width, height), pose, width, height)
-    rgb = (rgb8 / np.float32(255)).astype(np.float32)
-    return Frame(rgb, np.zeros((height, width), np.float32), camera)
 
 
 def table(folder: Path) -> str:

@@ -20,11 +20,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from photograph_frames import photograph_frame
 from rich.console import Console
 from skimage import data
 from skimage.transform import resize
 
-from gvr_core.cameras import Camera, intrinsics, look_at
 from gvr_core.errors import ModelError
 from gvr_core.models.base import Encoder, Frame, Mask, Segmenter
 from gvr_core.models.devices import DeviceChoice, pick_device
@@ -41,12 +41,10 @@ WIDTH, HEIGHT = 988, 731
 """Pictures of LERF-OVS, pixels."""
 
 
-def photograph_frame() -> Frame:
-    """A photograph at the size of LERF-OVS's pictures; it has no depth, so all of it is asked."""
-    rgb = resize(data.coffee(), (HEIGHT, WIDTH), anti_aliasing=True).astype(np.float32)
-    pose = look_at((0, -3, 1), (0, 0, 0), (0, 0, 1))
-    camera = Camera(intrinsics(50, WIDTH, HEIGHT), pose, WIDTH, HEIGHT)
-    return Frame(rgb, np.zeros((HEIGHT, WIDTH), np.float32), camera)
+def a_photograph() -> Frame:
+    """A photograph at the size of LERF-OVS's pictures."""
+    rgb = resize(data.coffee(), (HEIGHT, WIDTH), anti_aliasing=True)
+    return photograph_frame(np.rint(rgb * 255).astype(np.uint8))
 
 
 def random_patches(count: int) -> list[Mask]:
@@ -116,7 +114,7 @@ def measure(arguments: argparse.Namespace) -> str:
     environment = describe_environment()
     card = environment.gpu if device.type == "cuda" else None
     where = card or f"{environment.cpu_count} x {environment.processor}, no GPU used"
-    frame, patches = photograph_frame(), random_patches(arguments.patches)
+    frame, patches = a_photograph(), random_patches(arguments.patches)
     settings = SamSettings(points_per_side=arguments.points, crop_layers=arguments.crop_layers)
     with tempfile.TemporaryDirectory() as folder:
         segmenter, sam_weights = the_segmenter(

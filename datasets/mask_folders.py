@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
@@ -11,6 +10,7 @@ import numpy as np
 from PIL import Image
 
 from datasets.capture import CaptureImage
+from datasets.digests import digest_of, view_parts
 from datasets.images import read_mask
 from datasets.making import slug
 from datasets.native_records import check_distinct
@@ -258,28 +258,13 @@ def digests(
     """What `datasets.base.SceneData.digests` holds, of a scene without 3D labels."""
     return {
         "gaussians": file_digest(ply),
-        "views": _digest(_view_parts(view, True) for view in views),
-        "queries": _digest(query.model_dump_json() for query in queries),
-        "truth": _digest(
+        "views": digest_of(view_parts(view, True) for view in views),
+        "queries": digest_of(query.model_dump_json() for query in queries),
+        "truth": digest_of(
             [
                 repr(tuple(objects)),
-                *(_view_parts(view, False) for view in test_views),
+                *(view_parts(view, False) for view in test_views),
                 *(f"{v}/{o}:{file_digest(p)}" for (v, o), p in sorted(masks.items())),
             ]
         ),
     }
-
-
-def _view_parts(view: View, with_picture: bool) -> str:
-    camera = view.camera
-    numbers = camera.K.tobytes() + camera.world_to_camera.tobytes()
-    picture = file_digest(view.image) if with_picture and view.image else ""
-    return f"{view.name} {camera.width} {camera.height} {numbers.hex()} {picture}"
-
-
-def _digest(parts: Iterable[str]) -> str:
-    """sha256 of several texts; their lengths keep them apart."""
-    total = hashlib.sha256()
-    for part in parts:
-        total.update(f"{len(part)}:{part}".encode())
-    return total.hexdigest()

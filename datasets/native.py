@@ -17,8 +17,6 @@ Splatting (graphdeco-inria/gaussian-splatting) puts them, so other tools read a 
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +24,7 @@ from PIL import Image
 
 from datasets.base import GroundTruth, SceneData
 from datasets.colmap import read_colmap_model
+from datasets.digests import digest_of, view_parts
 from datasets.images import read_mask
 from datasets.native_records import (
     MODEL,
@@ -98,18 +97,18 @@ def read_scene(folder: Path, dataset: str | None = None, name: str | None = None
         GroundTruth(record.objects, test_views, masks, labels),
         {
             "gaussians": file_digest(folder / PLY),
-            "views": _digest(
+            "views": digest_of(
                 [
                     "" if up is None else up.tobytes().hex(),
-                    *(_view_parts(view, True) for view in knowledge),
+                    *(view_parts(view, True) for view in knowledge),
                 ]
             ),
             "queries": file_digest(folder / "queries.json"),
-            "truth": _digest(
+            "truth": digest_of(
                 [
                     repr(record.objects),
                     file_digest(folder / "labels.npy"),
-                    *(_view_parts(view, False) for view in test_views),
+                    *(view_parts(view, False) for view in test_views),
                     *(f"{view}/{target}:{file_digest(p)}" for (view, target), p in masks.items()),
                 ]
             ),
@@ -178,19 +177,3 @@ def _find_masks(
             read_mask(path, size=(camera.width, camera.height))
             masks[place.name, path.stem] = path
     return masks
-
-
-def _view_parts(view: View, with_picture: bool) -> str:
-    """What a view is, for a digest: name, camera and, if wanted, the picture's content."""
-    camera = view.camera
-    numbers = camera.K.tobytes() + camera.world_to_camera.tobytes()
-    picture = file_digest(view.image) if with_picture and view.image else ""
-    return f"{view.name} {camera.width} {camera.height} {numbers.hex()} {picture}"
-
-
-def _digest(parts: Iterable[str]) -> str:
-    """sha256 of several texts; their lengths keep them apart."""
-    total = hashlib.sha256()
-    for part in parts:
-        total.update(f"{len(part)}:{part}".encode())
-    return total.hexdigest()

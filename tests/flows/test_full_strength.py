@@ -134,7 +134,9 @@ def test_the_papers_models_are_asked_for_by_name(gvr, home, tmp_path, monkeypatc
 def _run(gvr: Callable[..., tuple[int, str, str]], home: Path, suite: str) -> Result:
     code, _, error = gvr("run", suite, "--quiet", "--no-mlflow")
     assert code == 0, error
-    return read_result(max((home / "results").iterdir()))[0]
+    return read_result(max((home / "results").iterdir(), key=lambda path: path.stat().st_mtime_ns))[
+        0
+    ]
 
 
 def _scene(result: Result, method: str) -> SceneResult:

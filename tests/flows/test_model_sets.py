@@ -48,7 +48,7 @@ def states(scene: SceneResult) -> dict[str, str]:
 
 
 def newest(home: Path) -> Path:
-    return max((home / "results").iterdir())
+    return max((home / "results").iterdir(), key=lambda path: path.stat().st_mtime_ns)
 
 
 def test_two_model_sets_through_the_whole_flow(
