@@ -61,9 +61,9 @@ def run(
         read_suite(suite_name), methods, datasets, scenes, limit, models, exclude_eval_views
     )
     resolve_scenes(suite.datasets)
-    for line in suite.lines():
-        if line.method.needs_books:
-            require_weights(line.models)
+    needed = [line.models for line in suite.lines() if line.method.needs_books]
+    for chosen in dict.fromkeys(needed):  # the lines of a set share its models
+        require_weights(chosen)
 
     from flows.benchmark import run_benchmark
     from tasks.prefect_runtime import prefect_runtime

@@ -20,6 +20,9 @@ from tasks.evaluation import score_scene
 from tasks.groundings import unpack_answers
 from tasks.store import Store
 
+SCORED_FROM, PROTOCOLS = "scored_from", "scored_protocols"
+"""Keys that a result scored again has in its configuration besides."""
+
 
 def score_again(folder: Path, protocols: Sequence[str], store: Path, results: Path) -> Path:
     """Evaluate the saved predictions of a result, and write another result.
@@ -70,10 +73,6 @@ def score_again(folder: Path, protocols: Sequence[str], store: Path, results: Pa
         scenes=tuple(scenes),
     )
     return write_result(results / again.run_id, again, tuple(rows), {})
-
-
-SCORED_FROM, PROTOCOLS = "scored_from", "scored_protocols"
-"""Keys that a result scored again has in its configuration besides."""
 
 
 def _suite_part(result: Result) -> dict[str, object]:

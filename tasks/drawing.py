@@ -45,8 +45,9 @@ def draw_query(
     parts = [
         f"IoU {100 * scored['metrics']['iou']:.0f}"
         for scored in rows
-        if scored["protocol"] == data.protocols[0] and scored["view"] == view.name
-        if "iou" in scored["metrics"]
+        if scored["protocol"] == data.protocols[0]
+        and scored["view"] == view.name
+        and "iou" in scored["metrics"]
     ]
     parts += [
         f"3D IoU {100 * scored['metrics']['iou']:.0f}"

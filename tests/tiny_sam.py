@@ -7,7 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from segment_anything.modeling import (
     ImageEncoderViT,
     MaskDecoder,
@@ -15,6 +17,9 @@ from segment_anything.modeling import (
     Sam,
     TwoWayTransformer,
 )
+
+from gvr_core.cameras import Camera, intrinsics, look_at
+from gvr_core.models.base import Frame
 
 SIDE, PATCH, CHANNELS = 128, 16, 32
 
@@ -112,3 +117,12 @@ def export_tiny_sam(folder: Path, chooses: bool, seed: int = 0) -> Path:
             dynamo=False,
         )
     return folder
+
+
+def photograph_frame(rgb8: NDArray[np.uint8], depth: float = 0.0) -> Frame:
+    """A picture as models see it, with one depth everywhere; 0 is that of a photograph."""
+    height, width = rgb8.shape[:2]
+    pose = look_at((0, -3, 1), (0, 0, 0), (0, 0, 1))
+    camera = Camera(intrinsics(50, width, height), pose, width, height)
+    rgb = (rgb8 / np.float32(255)).astype(np.float32)
+    return Frame(rgb, np.full((height, width), depth, np.float32), camera)

@@ -94,6 +94,7 @@ def test_every_method_runs_on_the_layout_and_is_scored_by_its_protocol(
         for metric, _ in spec.headline:
             mean = found.metrics[metric]
             assert 0 <= mean.mean <= 1 and mean.coverage == 1
+            assert mean.n == 4, "two boxes in two views"
     titles = [title for _, title in spec.headline]
     assert all(title in out for title in titles) and "overall" in out
 

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from segment_anything import SamAutomaticMaskGenerator, SamPredictor, sam_model_registry
 from skimage import data
 from skimage.transform import resize
-from tiny_sam import CHANNELS, save_tiny_sam, tiny_sam
+from tiny_sam import CHANNELS, photograph_frame, save_tiny_sam, tiny_sam
 
-from gvr_core.cameras import Camera, intrinsics, look_at
 from gvr_core.errors import ModelError
 from gvr_core.models import full_strength
 from gvr_core.models.base import Frame, Mask
@@ -54,14 +53,8 @@ def predictor(picture: NDArray[np.uint8]) -> SamPredictor:
 
 
 def frame_of(rgb8: NDArray[np.uint8], depth: float = 1.0) -> Frame:
-    height, width = rgb8.shape[:2]
-    pose = look_at((0, -3, 1), (0, 0, 0), (0, 0, 1))
-    camera = Camera(intrinsics(50, width, height), pose, width, height)
-    return Frame(
-        (rgb8 / np.float32(255)).astype(np.float32),
-        np.full((height, width), depth, np.float32),
-        camera,
-    )
+    """A render, all of which shows something."""
+    return photograph_frame(rgb8, depth)
 
 
 def segmenter(weights: Path, settings: SamSettings = LENIENT) -> SamSegmenter:

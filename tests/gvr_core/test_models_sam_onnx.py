@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from outlines import Outline, photograph, read_outlines
 from skimage import data
 from skimage.transform import resize
-from tiny_sam import export_tiny_sam, save_tiny_sam
+from tiny_sam import export_tiny_sam, photograph_frame, save_tiny_sam
 
-from gvr_core.cameras import Camera, intrinsics, look_at
 from gvr_core.errors import ModelError
 from gvr_core.models import full_strength
-from gvr_core.models.base import BoolArray, Frame, Mask
+from gvr_core.models.base import BoolArray, Mask
 from gvr_core.models.checkpoints import checkpoint
 from gvr_core.models.sam_onnx import OnnxSam
 from gvr_core.models.sam_prompts import SparseSamSettings, picture_logits
@@ -28,14 +27,6 @@ from gvr_core.models.sam_torch import TorchSam
 LENIENT = SparseSamSettings(
     points_per_side=4, pred_iou=0.6, stability=0.3, nms_iou=1, min_area=20, same_iou=1
 )
-
-
-def frame_of(rgb8: NDArray[np.uint8]) -> Frame:
-    height, width = rgb8.shape[:2]
-    pose = look_at((0, -3, 1), (0, 0, 0), (0, 0, 1))
-    camera = Camera(intrinsics(50, width, height), pose, width, height)
-    rgb = (rgb8 / np.float32(255)).astype(np.float32)
-    return Frame(rgb, np.zeros((height, width), np.float32), camera)
 
 
 def iou(one: BoolArray, other: BoolArray) -> float:
@@ -66,7 +57,7 @@ def nearly_equal(ours: Mask, theirs: Mask) -> None:
 def test_graphs_give_what_torch_gives(
     exported: Path, tmp_path: Path, picture: NDArray[np.uint8]
 ) -> None:
-    frame = frame_of(picture)
+    frame = photograph_frame(picture)
     ours = onnx_segmenter(exported)
     torch_sam = TorchSam(checkpoint(save_tiny_sam(tmp_path / "tiny.pth")), device="cpu")
     theirs = SamSegmenter(torch_sam, LENIENT)
@@ -101,7 +92,7 @@ OUTLINES = {outline.thing: outline for outline in read_outlines()}
 @pytest.mark.parametrize("thing", ["spoon", "cat", "helmet"])
 def test_a_click_finds_the_thing(real: SamSegmenter, thing: str) -> None:
     outline = OUTLINES[thing]
-    mask = real.at_point(frame_of(photograph(outline)), outline.point)
+    mask = real.at_point(photograph_frame(photograph(outline)), outline.point)
     assert iou(mask.pixels, outline.mask) >= 0.75
 
 
@@ -109,7 +100,7 @@ def test_a_click_finds_the_thing(real: SamSegmenter, thing: str) -> None:
 def test_one_of_the_three_masks_of_a_click_is_the_thing(
     real: SamSegmenter, outline: Outline
 ) -> None:
-    masks = real.masks_at(frame_of(photograph(outline)), outline.point)
+    masks = real.masks_at(photograph_frame(photograph(outline)), outline.point)
     assert max(iou(mask.pixels, outline.mask) for mask in masks) >= 0.75
 
 
@@ -123,7 +114,7 @@ def test_a_second_click_tells_the_cup_from_its_saucer(
 ) -> None:
     """The click on the cup alone is taken to mean the cup with its saucer."""
     cup = OUTLINES["cup"]
-    frame = frame_of(photograph(cup))
+    frame = photograph_frame(photograph(cup))
     mask = real.at_points(frame, [cup.point, saucer], [True, False])
     assert iou(mask.pixels, cup.mask) >= 0.75
     assert iou(real.at_point(frame, cup.point).pixels, cup.mask) < iou(mask.pixels, cup.mask)
@@ -132,7 +123,7 @@ def test_a_second_click_tells_the_cup_from_its_saucer(
 @pytest.mark.parametrize("outline", OUTLINES.values(), ids=OUTLINES)
 def test_a_box_finds_the_thing(real: SamSegmenter, outline: Outline) -> None:
     box = Mask(outline.mask).box
-    mask = real.in_box(frame_of(photograph(outline)), box)
+    mask = real.in_box(photograph_frame(photograph(outline)), box)
     assert iou(mask.pixels, outline.mask) >= 0.75
 
 
@@ -176,7 +167,7 @@ def test_graphs_that_are_missing_or_others_are_refused(
 ) -> None:
     def refusal(folder: Path) -> str:
         with pytest.raises(ModelError) as error:
-            onnx_segmenter(folder).at_point(frame_of(picture), (5.0, 5.0))
+            onnx_segmenter(folder).at_point(photograph_frame(picture), (5.0, 5.0))
         assert str(tmp_path) in str(error.value)
         return str(error.value)
 
@@ -200,7 +191,7 @@ def test_weights_in_further_files_are_refused(
         graph = onnx.load(folder / name)
         onnx.save(graph, folder / name, save_as_external_data=True, size_threshold=0)
         with pytest.raises(ModelError, match=rf"{name}.*other files"):
-            onnx_segmenter(folder).at_point(frame_of(picture), (5.0, 5.0))
+            onnx_segmenter(folder).at_point(photograph_frame(picture), (5.0, 5.0))
         shutil.copy(exported / name, folder / name)
 
 
@@ -211,4 +202,4 @@ def test_a_graph_that_changes_between_its_name_and_its_loading_is_refused(
     made = onnx_segmenter(folder)
     (folder / "encoder.onnx").write_bytes(b"another")
     with pytest.raises(ModelError, match=r"encoder\.onnx.*sha256"):
-        made.automatic(frame_of(picture))
+        made.automatic(photograph_frame(picture))
