@@ -197,10 +197,19 @@ def sync(
 
 @app.command()
 def ui(
-    port: Annotated[int, typer.Option(help="Port on 127.0.0.1; 0 takes a free one.")] = 5000,
+    port: Annotated[int, typer.Option(help="Port; 0 takes a free one.")] = 5000,
+    host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
+    exposed: Annotated[
+        bool,
+        typer.Option(
+            "--exposed",
+            help="Let --host be an address that other machines reach: MLflow asks nobody for a "
+            "password, and whoever reaches it may delete runs.",
+        ),
+    ] = False,
 ) -> None:
-    """Open MLflow's pages over the project's store, on this machine only."""
-    commands.ui(port)
+    """Open MLflow's pages over the project's store, on this machine only unless told."""
+    commands.ui(port, host, exposed)
 
 
 @app.command()

@@ -232,11 +232,11 @@ def _fill_mlflow(folders: Sequence[Path], uri: str, must: bool = False) -> None:
         console.print(f"MLflow: {report}", soft_wrap=True, highlight=False)
 
 
-def ui(port: int) -> None:
-    """``gvr ui``: MLflow's pages on loopback, until interrupted."""
+def ui(port: int, host: str, exposed: bool) -> None:
+    """``gvr ui``: MLflow's pages, on loopback unless told otherwise, until interrupted."""
     from reports.mlflow_server import serve_ui
 
-    serve_ui(port)
+    serve_ui(port, host, exposed=exposed)
 
 
 def cache_ls(root: Path, stage: str | None) -> None:

@@ -77,6 +77,7 @@ def serve_ui(
     host: str = "127.0.0.1",
     store: LocalStore | None = None,
     announce: Callable[[str], None] = print,
+    exposed: bool = False,
 ) -> None:
     """Show MLflow's pages over a store until Ctrl-C or SIGTERM, then end the server.
 
@@ -85,6 +86,7 @@ def serve_ui(
         host: As for `start_server`.
         store: As for `start_server`.
         announce: Called once with the address, when the pages answer.
+        exposed: As for `start_server`.
 
     Raises:
         ConfigError: as `start_server` does.
@@ -98,7 +100,7 @@ def serve_ui(
     # Without a handler, SIGTERM would end this process alone and leave the server behind.
     before = signal.signal(signal.SIGTERM, interrupt)
     try:
-        with start_server(port, host, store) as server:
+        with start_server(port, host, store, exposed=exposed) as server:
             announce(server.url)
             code = server.wait()
             raise ServerError(f"the MLflow server ended with code {code}: {_tail(server)}")
@@ -113,6 +115,7 @@ def start_server(
     host: str = "127.0.0.1",
     store: LocalStore | None = None,
     start_seconds: float = START_SECONDS,
+    exposed: bool = False,
 ) -> MlflowServer:
     """Start a server of MLflow's pages over a store, and wait until they answer.
 
@@ -122,6 +125,7 @@ def start_server(
             delete runs.
         store: The store; default: the project's own. It is created where missing.
         start_seconds: How long to wait for the first answer.
+        exposed: Any address will do: whoever reaches it is trusted.
 
     Raises:
         ConfigError: for a port that is taken or out of range, or an address that is not loopback.
@@ -129,7 +133,8 @@ def start_server(
         ServerError: if the server ends or stays silent; with the end of what it wrote.
     """
     store = local_store() if store is None else store
-    _check_loopback(host)
+    if not exposed:
+        _check_loopback(host)
     port = _free_port(host, port)
     create_store(store.database)
     log = store.folder.resolve() / "server.log"
@@ -172,7 +177,8 @@ def _check_loopback(host: str) -> None:
     if not loopback:
         raise ConfigError(
             f"the address {host!r} can be reached from other machines, and MLflow has no password",
-            accepted="127.0.0.1, ::1 or localhost; reach it from elsewhere through an SSH tunnel",
+            accepted="127.0.0.1, ::1 or localhost, reached from elsewhere through an SSH tunnel; "
+            "or any address with --exposed, where all who reach it are trusted",
         )
 
 

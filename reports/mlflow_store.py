@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gvr_core.errors import GVRError
+from reports.telemetry import telemetry_variables
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 EXPERIMENT = "gvr-bench"
 """The experiment that runs go to by default."""
 
-_PRIVATE = {"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": os.environ.get("DO_NOT_TRACK", "1")}
 # One retry and five seconds: an outage costs seconds. MLflow's own defaults cost minutes, and a
 # server that asks for a pause of an hour would get it.
 _IMPATIENT = {
@@ -81,8 +81,8 @@ def default_tracking_uri(home: Path | None = None) -> str:
 
 
 def quiet_environment() -> dict[str, str]:
-    """A copy of the environment, for a child process, with MLflow's telemetry off."""
-    return {**os.environ, **_PRIVATE}
+    """A copy of the environment, for a child process, with telemetry off unless allowed."""
+    return {**os.environ, **telemetry_variables()}
 
 
 @contextmanager
@@ -99,7 +99,8 @@ def mlflow_client(tracking_uri: str) -> Iterator[MlflowClient]:
     Raises:
         SyncError: if the local store cannot be made or is of another version of MLflow.
     """
-    os.environ.update(_PRIVATE)  # before the import: MLflow reads it there, and starts a thread
+    # Before the import: MLflow reads it there, and starts a thread.
+    os.environ.update(telemetry_variables())
     with _limits():
         from mlflow import MlflowClient
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from reports.telemetry import telemetry_allowed, telemetry_variables
 from tasks.prefect_server import FLUSH_SECONDS, START_TIMEOUT_SECONDS, local_server
 from tasks.store import Store
 
@@ -75,7 +76,7 @@ def prefect_runtime(
     local = nested.own_home if nested else isolated or not user_has_prefect()
     chosen = nested.home if nested else Path(home or DEFAULT_HOME).expanduser().resolve()
     with ExitStack() as stack:
-        stack.enter_context(_environment(DO_NOT_TRACK="1"))
+        stack.enter_context(_environment(**telemetry_variables()))
         if quiet and "PREFECT_LOGGING_LEVEL" not in os.environ:
             stack.enter_context(_environment(PREFECT_LOGGING_LEVEL="WARNING"))
         if local:
@@ -126,7 +127,7 @@ def _always(store: Store) -> dict[Any, Any]:
         "flows.heartbeat_frequency": None,
         "results.local_storage_path": store.root / "prefect-results",
         "results.default_serializer": "json",
-        "server.analytics_enabled": False,
+        **({} if telemetry_allowed() else {"server.analytics_enabled": False}),
     }
 
 

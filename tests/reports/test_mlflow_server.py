@@ -47,6 +47,17 @@ def test_addresses_that_others_reach_are_refused(host: str, store: LocalStore) -
         start_server(0, host, store)
 
 
+def test_any_address_will_do_where_told(store: LocalStore) -> None:
+    with start_server(0, "0.0.0.0", store, exposed=True) as server:
+        port = int(server.url.rsplit(":", 1)[1])
+        listening = [
+            connection.laddr.ip
+            for connection in psutil.net_connections("tcp")
+            if connection.status == psutil.CONN_LISTEN and connection.laddr.port == port
+        ]
+    assert listening == ["0.0.0.0"]
+
+
 def test_a_silent_server_is_ended_and_its_words_shown(store: LocalStore) -> None:
     with pytest.raises(ServerError, match=r"did not answer .* within 0 s.*server\.log"):
         start_server(0, store=store, start_seconds=0.2)
