@@ -3,7 +3,7 @@
 Whoever has set PREFECT_API_URL, PREFECT_PROFILE or PREFECT_HOME, or has a profiles file in
 ``~/.prefect``, keeps their own server and home; only settings they left alone are changed, and
 only for the length of the context. All others get a home in ``.gvr/prefect`` and a server on
-127.0.0.1 that lives as long as the context does.
+127.0.0.1 that lives as long as a command uses it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from reports.telemetry import telemetry_allowed, telemetry_variables
-from tasks.prefect_server import FLUSH_SECONDS, START_TIMEOUT_SECONDS, local_server
+from tasks.prefect_drain import FLUSH_SECONDS
+from tasks.prefect_server import START_TIMEOUT_SECONDS, joined_server, local_server
 from tasks.store import Store
 
 DEFAULT_HOME = Path(".gvr/prefect")
@@ -39,7 +40,7 @@ class PrefectRuntime:
     own_home: bool
     """Whether the home is the project's, not the user's."""
     own_server: bool
-    """Whether the server was started by this context, and ends with it."""
+    """Whether it is the project's own server, which ends with the last command that uses it."""
 
 
 def user_has_prefect() -> bool:
@@ -104,6 +105,8 @@ def prefect_runtime(
         own_server = url is None
         if url is None:
             url = stack.enter_context(local_server(settings.home))
+        elif nested is None:
+            stack.enter_context(joined_server(settings.home, url))
         stack.enter_context(_environment(PREFECT_API_URL=url))
         # Also for threads that do not copy the context of the thread that starts them.
         stack.enter_context(

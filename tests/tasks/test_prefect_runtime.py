@@ -10,12 +10,10 @@ from pathlib import Path
 import psutil
 import pytest
 from prefect import flow
-from prefect.server.api.server import SubprocessASGIServer
 from prefect.settings import get_current_settings
 
-from gvr_core.errors import StoreError
 from tasks.prefect_runtime import PrefectRuntime, prefect_runtime, user_has_prefect
-from tasks.prefect_server import local_server
+from tasks.prefect_server import _is_free, read_record
 from tasks.store import Store
 
 VARIABLES = ("PREFECT_API_URL", "PREFECT_PROFILE", "PREFECT_HOME", "PREFECT_PROFILES_PATH")
@@ -79,7 +77,10 @@ def test_a_block_inside_another_uses_its_server(
 
 def test_server_is_on_loopback_and_reports_to_nobody(prefect_server: PrefectRuntime) -> None:
     assert prefect_server.own_server and prefect_server.api_url.startswith("http://127.0.0.1:")
-    server = psutil.Process(SubprocessASGIServer().server_process.pid)
+    record = read_record(prefect_server.home)
+    assert record is not None and record.url == prefect_server.api_url
+    server = record.process()
+    assert server is not None
     environment = server.environ()
     assert environment["PREFECT_SERVER_ANALYTICS_ENABLED"].lower() == "false"
     assert environment["DO_NOT_TRACK"] == "1"
@@ -88,16 +89,26 @@ def test_server_is_on_loopback_and_reports_to_nobody(prefect_server: PrefectRunt
     assert {each.laddr.ip for each in listening} == {"127.0.0.1"}
 
 
-def test_server_that_does_not_start_is_an_error_that_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def start(self: SubprocessASGIServer, timeout: int | None = None) -> None:
-        raise RuntimeError("exited with code 1")
-
-    monkeypatch.setattr(SubprocessASGIServer, "start", start)
-    refused = pytest.raises(StoreError, match=r"no Prefect server could be started.*code 1")
-    with refused, local_server(tmp_path):
-        pass
+def test_server_that_does_not_start_is_an_error_that_says_so(tmp_path: Path) -> None:
+    (tmp_path / "prefect.db").write_text("no database\n" * 1000)
+    code = (
+        "from tasks.prefect_runtime import prefect_runtime\n"
+        "from tasks.store import Store\n"
+        f"with prefect_runtime(Store(), home={str(tmp_path)!r}, isolated=True): print('in')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=clean_environment(tmp_path),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1 and done.stdout == ""
+    last = done.stderr.strip().splitlines()[-1]
+    assert "StoreError: no Prefect server could be started with home" in done.stderr
+    assert "not a database" in done.stderr and str(tmp_path / "server.log") in last
+    assert _is_free(tmp_path / "users.lock") and read_record(tmp_path).process() is None
 
 
 USERS_OWN = """
