@@ -1,4 +1,4 @@
-"""The benchmark flow: scenes one after the other, then the result record, then MLflow."""
+"""The benchmark flow: all scenes through a runner, then the result record, then MLflow."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from prefect import flow
+from prefect.states import Completed, Failed, State
 
-from flows.scene import SceneOutcome, scene_flow
+from flows.fan_out import run_scenes
+from flows.runners import Placement, open_runner
+from flows.scene_outcome import SceneOutcome
 from flows.suite import SuiteConfig, resolve_scenes
 from reports.environment import describe_environment
 from reports.record import Result, Row
 from reports.result_io import new_run_id, write_result
+from tasks.store import Store
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,7 @@ class BenchmarkOutcome:
         """``data set/scene · method: error`` of each that failed."""
         return [
             f"{s.dataset}/{s.scene} · {s.method}: {s.error}"
+            + (f" (tried {s.attempts} times)" if s.attempts > 1 else "")
             for s in self.result.scenes
             if s.status == "failed"
         ]
@@ -40,25 +45,33 @@ class BenchmarkOutcome:
 
 @flow(name="benchmark", flow_run_name="{run_id}", validate_parameters=False)
 def benchmark_flow(
-    suite: dict[str, Any], run_id: str, store: str, results: str, progress: bool = False
-) -> BenchmarkOutcome:
+    suite: dict[str, Any],
+    run_id: str,
+    store: str,
+    results: str,
+    placement: Placement,
+    progress: bool = False,
+) -> State[BenchmarkOutcome]:
     """Run a suite and write its result record.
 
     Args:
         suite: The suite's configuration as JSON values.
         run_id: Name of the result's folder.
-        store: Root of the artifact store.
+        store: Where the artifact store is.
         results: Folder of the results.
+        placement: How its scenes are handed to the task runner.
         progress: Show progress bars.
+
+    Returns:
+        The outcome; ``Failed`` where a scene failed, naming it and its error.
 
     Raises:
         ConfigError: for a suite that cannot run; nothing is written then.
     """
     config = SuiteConfig.model_validate(suite)
     start, created = time.perf_counter(), datetime.now(UTC)
-    outcomes: list[SceneOutcome] = []
-    for dataset, scene in resolve_scenes(config.datasets):
-        outcomes += scene_flow(suite, dataset, scene, store, progress)
+    scenes = resolve_scenes(config.datasets)
+    outcomes = run_scenes(config, scenes, store, run_id, placement, progress)
     result = Result(
         run_id=run_id,
         suite=config.name,
@@ -69,29 +82,47 @@ def benchmark_flow(
         scenes=tuple(outcome.result for outcome in outcomes),
     )
     rows = tuple(row for outcome in outcomes for row in outcome.rows)
-    pictures = _pictures(outcomes)
+    pictures = _pictures(outcomes, Store(store))
     folder = write_result(Path(results) / run_id, result, rows, pictures)
-    return BenchmarkOutcome(folder, result, rows, any(o.bad_input for o in outcomes))
+    outcome = BenchmarkOutcome(folder, result, rows, any(o.bad_input for o in outcomes))
+    if outcome.failed:
+        return Failed(message="\n".join(outcome.failed), data=outcome)
+    return Completed(message=f"{len(scenes)} scenes", data=outcome)
 
 
 def run_benchmark(
-    suite: SuiteConfig, store: Path, results: Path, progress: bool = False
+    suite: SuiteConfig, store: Path | str, results: Path | str, progress: bool = False
 ) -> BenchmarkOutcome:
     """Run a suite in the Prefect that :func:`tasks.prefect_runtime.prefect_runtime` set up.
 
     Args:
         suite: The suite.
-        store: Root of the artifact store.
+        store: Where the artifact store is.
         results: Folder of the results; the new one is made in there.
         progress: Show progress bars.
 
     Raises:
         ConfigError: for a suite that cannot run; nothing is written then.
     """
-    return benchmark_flow(
-        suite.model_dump(mode="json"), new_run_id(), str(store), str(results), progress
-    )
+    with open_runner(suite.run, len(resolve_scenes(suite.datasets))) as (task_runner, placement):
+        state = benchmark_flow.with_options(task_runner=task_runner)(
+            suite.model_dump(mode="json"),
+            new_run_id(),
+            str(store),
+            str(results),
+            placement,
+            progress,
+            return_state=True,
+        )
+    outcome = state.result(raise_on_failure=False)
+    if isinstance(outcome, BaseException):
+        raise outcome
+    return outcome
 
 
-def _pictures(outcomes: Sequence[SceneOutcome]) -> dict[str, Path]:
-    return {name: path for outcome in outcomes for name, path in outcome.pictures.items()}
+def _pictures(outcomes: Sequence[SceneOutcome], store: Store) -> dict[str, Path]:
+    return {
+        name: store.path(picture)
+        for outcome in outcomes
+        for name, picture in outcome.pictures.items()
+    }

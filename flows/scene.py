@@ -5,20 +5,19 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from prefect import flow
+from prefect.states import Completed, Failed, State
 
 from datasets.base import SceneData
 from datasets.leakage import without_test_views
 from datasets.registry import get_dataset
 from flows.lines import Line, file_name
 from flows.progress import Progress
+from flows.scene_outcome import Listener, Notes, SceneOutcome, failed_outcome, identity
 from flows.suite import DatasetChoice, SuiteConfig
-from gvr_core.errors import GVRError, InputError
 from gvr_core.methods import MethodConfig, Toolbox, check_method
 from gvr_core.models.oracle import OracleWorld
 from gvr_core.models.registry import ModelConfig, build_models, needs_world
@@ -32,18 +31,6 @@ from tasks.stages import PREPARATION, SceneJob, run_stages
 from tasks.store import Store
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class SceneOutcome:
-    """What one line on one scene gave: its result, its rows, and its pictures in the store."""
-
-    result: SceneResult
-    rows: tuple[Row, ...] = ()
-    pictures: dict[str, Path] = field(default_factory=dict)
-    """Path relative to the result's folder -> the picture in the store."""
-    bad_input: bool = False
-    """Whether it failed for something the user gave."""
 
 
 def make_job(
@@ -103,11 +90,17 @@ def oracle_world(data: SceneData, renderer: str = "numba") -> OracleWorld | None
     )
 
 
-@flow(name="scene", flow_run_name="{dataset}/{scene}", validate_parameters=False)
+@flow(name="scene", validate_parameters=False)
 def scene_flow(
-    suite: dict[str, Any], dataset: str, scene: str, store: str, progress: bool = False
-) -> list[SceneOutcome]:
-    """All lines of a suite on one scene.
+    suite: dict[str, Any],
+    dataset: str,
+    scene: str,
+    store: str,
+    lines: Sequence[str],
+    listener: Listener,
+    progress: bool = False,
+) -> State[None]:
+    """Lines of a suite on one scene, one after the other.
 
     A line that fails is reported as failed, and the others go on.
 
@@ -115,17 +108,34 @@ def scene_flow(
         suite: The suite's configuration as JSON values.
         dataset: Name of the data set.
         scene: Name of the scene.
-        store: Root of the artifact store.
+        store: Where the artifact store is.
+        lines: Names of the lines to run, in this order.
+        listener: Is told of each line when it begins and when it ends.
         progress: Show progress bars.
+
+    Returns:
+        ``Failed`` where a line failed, naming it and its error.
     """
     config = SuiteConfig.model_validate(suite)
     choice = next(d for d in config.datasets if d.name == dataset)
+    known = {line.name: line for line in config.lines()}
+    notes = Notes()
     with Progress(shown=progress) as bars:
         try:
             data = load_scene(choice, scene, config.exclude_eval_views)
         except Exception as error:
-            return [_failed(dataset, scene, line, error) for line in config.lines()]
-        return [run_line(data, config, line, Store(store), bars) for line in config.lines()]
+            for name in lines:
+                notes.ended(failed_outcome(dataset, scene, known[name], error))
+                listener.ended(notes.outcomes[-1])
+        else:
+            for name in lines:
+                listener.begun(name)
+                notes.ended(run_line(data, config, known[name], Store(store), bars))
+                listener.ended(notes.outcomes[-1])
+    failures = [f"{o.result.method}: {o.result.error}" for o in notes.outcomes if o.failed]
+    if failures:
+        return Failed(message="; ".join(failures))
+    return Completed(message=f"{len(lines)} lines")
 
 
 def load_scene(choice: DatasetChoice, scene: str, exclude_eval_views: bool = False) -> SceneData:
@@ -196,7 +206,7 @@ def run_line(
         runs = run_stages(job)
         return _outcome(line, job, runs)
     except Exception as error:
-        return _failed(data.scene.dataset, data.scene.name, line, error)
+        return failed_outcome(data.scene.dataset, data.scene.name, line, error)
 
 
 def _outcome(line: Line, job: SceneJob, runs: dict[str, StageRun]) -> SceneOutcome:
@@ -209,14 +219,14 @@ def _outcome(line: Line, job: SceneJob, runs: dict[str, StageRun]) -> SceneOutco
         path = None
         if not line.is_variant:  # dozens of nearly equal pictures of each query help nobody
             path = f"{folder}/{query.id}.png"
-            pictures[path] = job.store.path(runs["evaluate"][f"picture.{query.id}"])
+            pictures[path] = runs["evaluate"][f"picture.{query.id}"]
         queries.append(_query_outcome(query, answer, runs, path))
     scored = job.store.load_json(runs["evaluate"]["rows"])
     rows = tuple(result_rows(scene.dataset, scene.name, line.name, job.queries, scored))
     seconds = [sum(outcome.seconds.values()) for outcome in queries]
     camera = scene.views[0].camera
     result = SceneResult(
-        **_identity(scene.dataset, scene.name, line),
+        **identity(scene.dataset, scene.name, line),
         status="completed",
         n_gaussians=len(scene.gaussians),
         n_views=len(scene.views),
@@ -230,7 +240,7 @@ def _outcome(line: Line, job: SceneJob, runs: dict[str, StageRun]) -> SceneOutco
         stages=tuple(_timing(run) for run in runs.values()),
         queries=tuple(queries),
     )
-    return SceneOutcome(result, rows, pictures)
+    return SceneOutcome(result=result, rows=rows, pictures=pictures)
 
 
 def _query_outcome(
@@ -260,23 +270,3 @@ def _timing(run: StageRun) -> StageTiming:
         state="cached" if run.cached else "computed",
         key=record.key,
     )
-
-
-def _identity(dataset: str, scene: str, line: Line) -> dict[str, Any]:
-    """Which scene and which line a result is of."""
-    return {
-        "dataset": dataset,
-        "scene": scene,
-        "method": line.name,
-        "label": line.label,
-        "model_set": line.model_set,
-        "reference": line.reference,
-    }
-
-
-def _failed(dataset: str, scene: str, line: Line, error: Exception) -> SceneOutcome:
-    if not isinstance(error, GVRError):  # a mistake of ours, or a machine's: show where
-        log.error("%s/%s · %s failed", dataset, scene, line.name, exc_info=error)
-    text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-    result = SceneResult(**_identity(dataset, scene, line), status="failed", error=text)
-    return SceneOutcome(result, bad_input=isinstance(error, InputError))

@@ -19,6 +19,7 @@ from pydantic import (
 
 from datasets.registry import FOLDER, check_dataset, get_dataset
 from flows.lines import BUNDLED, Line, ModelSet, make_lines
+from flows.run_config import RunConfig
 from gvr_core.errors import ConfigError, unknown_name
 from gvr_core.methods import METHODS, MethodConfig, check_method, variants
 from gvr_core.models.registry import ModelConfig, check_models
@@ -64,6 +65,8 @@ class SuiteConfig(BaseModel):
     """Keep the test views out of the knowledge views, where a data set has them in both."""
     experiment: str = Field(default="gvr-bench", min_length=1)
     """MLflow experiment."""
+    run: RunConfig = RunConfig()
+    """Where and how its scenes are computed; changes no result."""
 
     @field_validator("models", mode="before")
     @classmethod

@@ -10,6 +10,7 @@
     │   ├── ConfigError           a suite file, or an unknown name of a method, scene, ...
     │   ├── ModelError            a model's weights or its name
     │   └── ResultError           a result's folder (reports.result_check)
+    ├── SceneLost             a scene's process died or was ended (flows.scene_process)
     ├── StoreError            the artifact store: a damaged object, a record that is not ours
     ├── SyncError             MLflow could not be filled (reports.mlflow_store)
     └── ServerError           MLflow's pages could not be served (reports.mlflow_server)

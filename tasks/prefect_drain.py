@@ -22,6 +22,13 @@ def note_task_run(task_run: UUID | None) -> None:
         _latest_task_runs.append(task_run)
 
 
+def take_task_runs() -> list[UUID]:
+    """The latest finished task runs of this process, for another one to wait for."""
+    taken = list(_latest_task_runs)
+    _latest_task_runs.clear()
+    return taken
+
+
 def settle() -> None:
     """Wait until the server has written down the latest task runs.
 
@@ -31,8 +38,7 @@ def settle() -> None:
     from prefect.client.orchestration import get_client
     from prefect.client.schemas.filters import TaskRunFilter, TaskRunFilterId
 
-    wanted = list(_latest_task_runs)
-    _latest_task_runs.clear()
+    wanted = take_task_runs()
     if not wanted:
         return
     deadline = time.monotonic() + _SETTLE_SECONDS

@@ -18,8 +18,8 @@ from prefect.states import Completed
 from prefect.tasks import Task
 
 from gvr_core.errors import StoreError
-from tasks.prefect_results import RESULT_SERIALIZER, StageResultStorage, result_key
 from tasks.prefect_drain import note_task_run
+from tasks.prefect_results import RESULT_SERIALIZER, StageResultStorage, result_key
 from tasks.record_store import StageOutput
 from tasks.records import Artifact, StageRecord
 from tasks.store import Store

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+
+from gvr_core.threads import available_threads
 
 
 @cache
@@ -14,7 +15,7 @@ def cpu_workers() -> ThreadPoolExecutor:
     Threads that share one batch wait for each other in a spin, which on a busy machine takes
     several times the processor time of the work itself.
     """
-    return ThreadPoolExecutor(os.cpu_count() or 1, "network", initializer=_one_thread)
+    return ThreadPoolExecutor(available_threads(), "network", initializer=_one_thread)
 
 
 def _one_thread() -> None:

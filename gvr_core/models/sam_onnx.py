@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +17,7 @@ from gvr_core.models.checkpoints import Checkpoint, checkpoint
 from gvr_core.models.cpu_workers import cpu_workers
 from gvr_core.models.sam_architecture import MEAN, STD
 from gvr_core.models.sam_prompts import Embedding, input_coordinates, input_size
+from gvr_core.threads import available_threads
 
 if TYPE_CHECKING:
     import onnx
@@ -97,7 +97,7 @@ class OnnxSam:
     def _encoder_session(self) -> Any:
         path = self._encoder_file.path
         graph = _graph(_content(self._encoder_file), path).SerializeToString()
-        session = _session(graph, path, os.cpu_count() or 1)
+        session = _session(graph, path, available_threads())
         inputs, outputs = session.get_inputs(), session.get_outputs()
         shape = inputs[0].shape
         if len(inputs) != 1 or len(outputs) != 1 or len(shape) != 4 or shape[1] != 3:

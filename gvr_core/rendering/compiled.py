@@ -27,6 +27,8 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from gvr_core.threads import available_threads
+
 codegen: Any = cgutils
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -95,13 +97,6 @@ def _prefetch(typing_context: Any, array: Any, row: Any) -> Any:
 prefetch_row: Any = intrinsic(_prefetch)
 """In a kernel, ``prefetch_row(array, row)`` asks for ``array[row]`` (2-D, row >= 0) to be brought
 into the cache, and does not wait for it."""
-
-
-def available_threads() -> int:
-    """Number of processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 _pool: ThreadPoolExecutor | None = None

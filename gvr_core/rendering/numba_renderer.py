@@ -20,13 +20,14 @@ from gvr_core.gaussians import Gaussians
 from gvr_core.rendering.base import Rendering
 from gvr_core.rendering.binning import bin_piece, cursors
 from gvr_core.rendering.blending import blend_tiles
-from gvr_core.rendering.compiled import available_threads, run_pieces
+from gvr_core.rendering.compiled import run_pieces
 from gvr_core.rendering.inputs import checked_background, checked_mask
 from gvr_core.rendering.layout import DEPTH, TILE, empty_rows
 from gvr_core.rendering.projection import camera_numbers, project
 from gvr_core.rendering.sorting import radix_argsort
 from gvr_core.rendering.spherical_harmonics import shade
 from gvr_core.rendering.weights import sum_pairs
+from gvr_core.threads import available_threads
 
 FloatArray = NDArray[np.float32]
 IntArray = NDArray[np.int32]

@@ -16,6 +16,7 @@ from prefect.client.schemas.sorting import TaskRunSort
 
 from flows.benchmark import BenchmarkOutcome, run_benchmark
 from flows.lines import ModelSet
+from flows.run_config import RunConfig
 from flows.suite import DatasetChoice, SuiteConfig
 from gvr_core.methods import MethodConfig
 from gvr_core.rendering import Rendering, get_renderer
@@ -192,8 +193,9 @@ def test_a_method_that_fails_leaves_the_others_be(bench, suite, monkeypatch) -> 
 
     monkeypatch.setattr(scene_module, "make_job", breaks)
     methods = (MethodConfig(label="broken"), MethodConfig())
-    outcome = bench(suite.model_copy(update={"methods": methods}))
+    run = RunConfig(retry_delay_seconds=0)
+    outcome = bench(suite.model_copy(update={"methods": methods, "run": run}))
     assert [scene.status for scene in outcome.result.scenes] == ["failed", "completed"]
     place = f"{suite.datasets[0].name}/two-boxes"
-    assert outcome.failed == [f"{place} · broken: RuntimeError: out of luck"]
+    assert outcome.failed == [f"{place} · broken: RuntimeError: out of luck (tried 2 times)"]
     assert not outcome.bad_input
