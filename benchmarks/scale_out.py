@@ -1,4 +1,4 @@
-"""What a scene costs beside its own computing, with each runner: ``python benchmarks/scale_out.py``.
+"""What a scene costs beside its own computing: ``python benchmarks/scale_out.py``.
 
 Makes small scenes, runs them with each runner on a store of its own, and prints whether all gave
 the same record, and how long they took. The Prefect server is started before, and not counted.
@@ -69,7 +69,7 @@ def _make_scene(folder: Path, number: int) -> None:
     for side, x in ((0.8, -1.0), (0.6, 1.0)):
         steps = np.linspace(-side / 2, side / 2, 9)
         grid = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
-        boxes.append(grid + [x, random.uniform(-0.7, 0.7), side / 2 + 0.05])
+        boxes.append(grid + np.array([x, random.uniform(-0.7, 0.7), side / 2 + 0.05]))
     parts = [
         _round_gaussians(boxes[0], (0.9, 0.1, 0.1), 0.07),
         _round_gaussians(boxes[1], (0.1, 0.1, 0.9), 0.06),
@@ -166,10 +166,10 @@ def table(measured: list[Measured], scenes: int) -> str:
         )
     lines += [
         "",
-        "Flow: from the first scene handed out to the last one in, without the start of the Prefect "
-        "server. Beside stages: flow times workers less the seconds of all stages, for each scene; "
-        "the start of worker processes is in it. All cached: a second run, in which no stage "
-        "computes.",
+        "Flow: from the first scene handed out to the last one in, without the start of the "
+        "Prefect server. Beside stages: flow times workers less the seconds of all stages, for "
+        "each scene; the start of worker processes is in it. All cached: a second run, in which "
+        "no stage computes.",
     ]
     return "\n".join(lines)
 

@@ -10,16 +10,15 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from flows import commands
+from flows import commands, run_commands
 from flows.datasets_cli import datasets_app
+from flows.job import EXIT_BAD_INPUT, EXIT_FAILED, Job
 from flows.models_cli import models_app
 from flows.places import results_root, store_root
+from flows.schedule_cli import schedule
 from flows.suite import DEFAULT_SUITE
 from gvr_core.errors import GVRError, InputError
 from gvr_core.methods import METHODS
-
-EXIT_FAILED = 1
-EXIT_BAD_INPUT = 2
 
 app = typer.Typer(
     name="gvr",
@@ -32,6 +31,7 @@ cache_app = typer.Typer(help="Look after the artifact store.", no_args_is_help=T
 app.add_typer(cache_app, name="cache")
 app.add_typer(models_app, name="models")
 app.add_typer(datasets_app, name="datasets")
+app.command()(schedule)
 
 StoreOption = Annotated[
     Path | None, typer.Option("--store", help="Artifact store; GVR_STORE, else .gvr/store.")
@@ -79,23 +79,28 @@ def run(
         typer.Option(help="MLflow to fill; MLFLOW_TRACKING_URI, else the project's own store."),
     ] = None,
     no_mlflow: Annotated[bool, typer.Option("--no-mlflow", help="Leave MLflow out.")] = False,
+    runner: Annotated[
+        str | None, typer.Option(help="serial, threads, processes or dask; else the suite's.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(help="How many, instead of the suite's.")] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Run a suite: every method on every scene, with cached stages, into a result and MLflow."""
-    code = commands.run(
-        suite,
-        method or [],
-        dataset or [],
-        scene or [],
-        limit,
-        store or store_root(),
-        results or results_root(),
-        None if no_mlflow else commands.tracking_uri(tracking_uri),
-        progress=not quiet,
-        models=models or [],
+    job = Job(
+        suite=suite,
+        methods=tuple(method or ()),
+        datasets=tuple(dataset or ()),
+        scenes=tuple(scene or ()),
+        models=tuple(models or ()),
+        limit=limit,
         exclude_eval_views=exclude_eval_views,
+        runner=runner,
+        workers=workers,
+        store=str(store or store_root()),
+        results=str(results or results_root()),
+        tracking_uri=None if no_mlflow else commands.tracking_uri(tracking_uri),
     )
-    raise typer.Exit(code)
+    raise typer.Exit(run_commands.run(job, progress=not quiet))
 
 
 @app.command()

@@ -10,9 +10,9 @@ from rich.table import Table
 from rich.text import Text
 
 from datasets.own import own_scene
+from flows.job import fill_mlflow
 from flows.lines import ONBOARD, bundled_models
 from flows.places import home
-from flows.suite import override, read_suite, resolve_scenes
 from gvr_core.atomic import atomic_write
 from gvr_core.errors import ConfigError, unknown_name
 from gvr_core.exports import EXPORTS, RED, parse_colour
@@ -21,7 +21,7 @@ from gvr_core.models.registry import require_weights
 from gvr_core.protocols import PROTOCOLS
 from reports import tables
 from reports.document import replace_block
-from reports.mlflow_store import SyncError, default_tracking_uri
+from reports.mlflow_store import default_tracking_uri
 from reports.pictures import contact_sheet
 from reports.record import Result, Row
 from reports.result_io import list_results, read_result
@@ -31,54 +31,11 @@ SHEET_PICTURES = 12
 """At most so many pictures on a sheet."""
 
 console = Console()
-warnings = Console(stderr=True)
 
 
 def tracking_uri(given: str | None) -> str:
     """The MLflow to fill: the one given, else the user's or the project's own."""
     return given or default_tracking_uri()
-
-
-def run(
-    suite_name: str,
-    methods: Sequence[str],
-    datasets: Sequence[str],
-    scenes: Sequence[str],
-    limit: int | None,
-    store: Path,
-    results: Path,
-    mlflow: str | None,
-    progress: bool,
-    models: Sequence[str] = (),
-    exclude_eval_views: bool = False,
-) -> int:
-    """``gvr run``: run a suite, print its tables, fill MLflow.
-
-    Returns:
-        Exit code: 0; 1 where a scene failed; 2 where it failed for something the user gave.
-    """
-    suite = override(
-        read_suite(suite_name), methods, datasets, scenes, limit, models, exclude_eval_views
-    )
-    resolve_scenes(suite.datasets)
-    needed = [line.models for line in suite.lines() if line.method.needs_books]
-    for chosen in dict.fromkeys(needed):  # the lines of a set share its models
-        require_weights(chosen)
-
-    from flows.benchmark import run_benchmark
-    from tasks.prefect_runtime import prefect_runtime
-
-    with prefect_runtime(Store(store), home=home() / "prefect"):
-        outcome = run_benchmark(suite, store, results, progress)
-    print_tables(outcome.result, outcome.rows)
-    console.print(f"\nResult: {outcome.folder}", soft_wrap=True, highlight=False)
-    if mlflow is not None:
-        _fill_mlflow([outcome.folder], mlflow)
-    for failure in outcome.failed:
-        warnings.print(f"failed: {failure}", style="red", markup=False, soft_wrap=True)
-    if not outcome.failed:
-        return 0
-    return 2 if outcome.bad_input else 1
 
 
 def print_tables(result: Result, rows: Sequence[Row]) -> None:
@@ -208,28 +165,12 @@ def sync(names: Sequence[str], root: Path, mlflow: str) -> None:
     folders = [find_result(name, root) for name in names] if names else list_results(root)
     if not folders:
         console.print(f"No results under {root}")
-    _fill_mlflow(folders, mlflow, must=True)
+    _fill_mlflow(folders, mlflow)
 
 
-def _fill_mlflow(folders: Sequence[Path], uri: str, must: bool = False) -> None:
-    from reports.mlflow_sink import sync as sync_result
-
+def _fill_mlflow(folders: Sequence[Path], uri: str) -> None:
     for folder in folders:
-        result, _ = read_result(folder)
-        experiment = str(result.config.get("experiment", "gvr-bench"))
-        try:
-            report = sync_result(folder, uri, experiment)
-        except SyncError as error:
-            if must:
-                raise
-            warnings.print(
-                f"MLflow was not filled: {error}\nThe result is safe; `gvr sync` fills it later.",
-                style="yellow",
-                markup=False,
-                soft_wrap=True,
-            )
-            return
-        console.print(f"MLflow: {report}", soft_wrap=True, highlight=False)
+        console.print(f"MLflow: {fill_mlflow(folder, uri)}", soft_wrap=True, highlight=False)
 
 
 def ui(port: int, host: str, exposed: bool) -> None:

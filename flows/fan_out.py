@@ -16,6 +16,7 @@ from flows.progress import Progress
 from flows.run_config import RunConfig
 from flows.runners import Placement
 from flows.scene_outcome import Notes, SceneOutcome
+from flows.scene_process import end_scene_processes
 from flows.scene_task import OUTCOMES, lost_outcomes, scene_task, try_scene
 from flows.scene_try import SceneTry, new_scene_run
 from flows.suite import SuiteConfig
@@ -86,7 +87,11 @@ def run_scenes(
         done = iter(bars.track(states, "scenes"))
         next(done, None)
         fan = _Fan(suite, store, run_id, placement, progress and not placement.parallel)
-        fan.run(states, lambda: next(done, None))
+        try:
+            fan.run(states, lambda: next(done, None))
+        except BaseException:  # Ctrl-C does not wait for scenes that are being computed
+            end_scene_processes()
+            raise
     return [state.outcomes[line] for state in states for line in lines]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
@@ -38,7 +39,9 @@ class Placement(BaseModel):
 
 @contextmanager
 def open_runner(run: RunConfig, scenes: int) -> Iterator[tuple[TaskRunner[Any], Placement]]:
-    """Prefect's runner that a suite asks for, and how scenes are handed to it, for the length of a ``with`` block.
+    """Prefect's runner that a suite asks for, and how scenes are handed to it.
+
+    Both last as long as a ``with`` block.
 
     Args:
         run: The suite's settings.
@@ -101,8 +104,12 @@ def _cluster(run: RunConfig, workers: int, threads: int) -> Iterator[tuple[str, 
         # Deaths are counted and retried by the run, in one way for all runners.
         "distributed.scheduler.allowed-failures": 0,
         # Before numpy is imported, which reads them once.
-        "distributed.nanny.pre-spawn-environ": thread_limits(threads),
+        "distributed.nanny.pre-spawn-environ": {
+            **thread_limits(threads),
+            "DASK_LOGGING__DISTRIBUTED": "error",
+        },
     }
+    logging.getLogger("distributed").setLevel(logging.ERROR)
     with dask.config.set(settings):
         cluster = LocalCluster(
             n_workers=workers,
@@ -110,7 +117,7 @@ def _cluster(run: RunConfig, workers: int, threads: int) -> Iterator[tuple[str, 
             processes=True,
             host="127.0.0.1",
             dashboard_address=None,
-            silence_logs=40,
+            silence_logs=logging.ERROR,
         )
     with cluster, Client(cluster, set_as_default=False) as client:
         yield cluster.scheduler_address, workers

@@ -26,6 +26,8 @@ from gvr_core.errors import GVRError
 from gvr_core.threads import thread_limits
 from tasks.prefect_drain import note_task_run
 
+START_SECONDS = 300.0
+"""It takes 5 to 10 s to start on two cores, and more on busy ones."""
 END_SECONDS = 20.0
 """A process that is told to end sends its last states to the Prefect server first."""
 
@@ -66,6 +68,7 @@ class SceneProcess:
         self._orders = self._process.stdin
         self._answers = answers
         self._buffer = b""
+        self._ready = False
 
     @property
     def pid(self) -> int:
@@ -78,6 +81,9 @@ class SceneProcess:
         Raises:
             SceneLost: The process died, or took longer than ``order.scene_seconds``.
         """
+        if not self._ready:  # the time limit is for the scene alone
+            self._next(time.monotonic() + START_SECONDS, "to start", START_SECONDS)
+            self._ready = True
         deadline = None
         if order.scene_seconds is not None:
             deadline = time.monotonic() + order.scene_seconds
@@ -87,7 +93,7 @@ class SceneProcess:
         except OSError as error:
             raise self._died() from error
         while True:
-            answer = self._next(deadline, order)
+            answer = self._next(deadline, "", order.scene_seconds or 0)
             if "begun" in answer:
                 listener.begun(answer["begun"])
             elif "ended" in answer:
@@ -116,13 +122,14 @@ class SceneProcess:
             os.close(self._answers)
             self._answers = -1
 
-    def _next(self, deadline: float | None, order: SceneTry) -> Any:
+    def _next(self, deadline: float | None, what: str, seconds: float) -> Any:
         with selectors.DefaultSelector() as ready:
             ready.register(self._answers, selectors.EVENT_READ)
             while b"\n" not in self._buffer:
                 left = None if deadline is None else max(0.0, deadline - time.monotonic())
                 if not ready.select(left):
-                    raise SceneLost(f"took longer than {order.scene_seconds:g} s, and was ended")
+                    took = f"took longer than {seconds:g} s {what}".rstrip()
+                    raise SceneLost(f"{took}, and was ended")
                 part = os.read(self._answers, 1 << 16)
                 if not part:
                     raise self._died()

@@ -1,8 +1,9 @@
 """A process that computes scenes: ``python -m flows.scene_worker ANSWERS STORE``.
 
 Reads tries as JSON lines from standard input, and writes JSON lines to the file descriptor
-ANSWERS: ``{"begun": line}``, ``{"ended": outcome}``, and last of each try ``{"error": ...}``. It
-ends when standard input does, at once where a scene is being computed: whoever asked is gone.
+ANSWERS: ``{"ready": true}`` once; of each try ``{"begun": line}``, ``{"ended": outcome}``, and last
+``{"error": ...}``. It ends when standard input does, at once where a scene is being computed:
+whoever asked is gone.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import threading
 from typing import Any
 
 from flows.scene_outcome import SceneOutcome
-from tasks.prefect_drain import take_task_runs
+from tasks.prefect_drain import drain, take_task_runs
 from tasks.prefect_runtime import prefect_runtime
 from tasks.store import Store
 
@@ -56,6 +57,7 @@ def main(descriptor: int, store: str) -> None:
         from flows.scene_try import SceneTry, run_here
 
         threading.Thread(target=read, daemon=True).start()
+        answers.write({"ready": True})
         while (line := orders.get()) is not None:
             idle.clear()
             error = ""
@@ -66,8 +68,6 @@ def main(descriptor: int, store: str) -> None:
             idle.set()
             runs = [str(task_run) for task_run in take_task_runs()]
             answers.write({"error": error, "task_runs": runs})
-        from tasks.prefect_drain import drain
-
         drain()
 
 

@@ -1,0 +1,63 @@
+"""``gvr run`` and ``gvr schedule``; each function is one command, usable without a shell."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from flows.commands import console, print_tables
+from flows.job import Job, exit_code, fill_mlflow, not_filled, prepare
+from flows.places import home
+from flows.when import When
+from reports.mlflow_store import SyncError
+from tasks.store import Store
+
+warnings = Console(stderr=True)
+
+
+def run(job: Job, progress: bool) -> int:
+    """``gvr run``: run a suite, print its tables, fill MLflow.
+
+    Returns:
+        Exit code: 0; 1 where a scene failed; 2 where it failed for something the user gave.
+    """
+    suite = prepare(job)
+
+    from tasks.prefect_runtime import prefect_runtime
+
+    with prefect_runtime(Store(job.store), home=home() / "prefect"):
+        from flows.benchmark import run_benchmark
+
+        outcome = run_benchmark(suite, job.store, job.results, progress)
+    print_tables(outcome.result, outcome.rows)
+    console.print(f"\nResult: {outcome.folder}", soft_wrap=True, highlight=False)
+    if job.tracking_uri is not None:
+        try:
+            report = fill_mlflow(outcome.folder, job.tracking_uri)
+            console.print(f"MLflow: {report}", soft_wrap=True, highlight=False)
+        except SyncError as error:
+            warnings.print(not_filled(error), style="yellow", markup=False, soft_wrap=True)
+    for failure in outcome.failed:
+        warnings.print(f"failed: {failure}", style="red", markup=False, soft_wrap=True)
+    return exit_code(outcome)
+
+
+def schedule(job: Job, when: When) -> None:
+    """``gvr schedule``: run a suite again and again, until interrupted.
+
+    Raises:
+        ConfigError: for a time or a job that cannot be; nothing is scheduled then.
+    """
+    suite = prepare(job)
+
+    from tasks.prefect_runtime import prefect_runtime
+
+    with prefect_runtime(Store(job.store), home=home() / "prefect", quiet=False) as runtime:
+        from flows.schedule import serve_suite
+
+        console.print(
+            f"{suite.name} runs {when}; Prefect is at {runtime.api_url}, and Ctrl-C ends it.",
+            markup=False,
+            soft_wrap=True,
+            highlight=False,
+        )
+        serve_suite(job, suite.name, when)
