@@ -64,6 +64,10 @@ class StageTiming(_Record):
     """Whether this run computed it."""
     key: str
     """The stage's cache key."""
+    peak_of: Literal["stage", "shared", "process"] | None = None
+    """What the peak is of: ``stage``, of this stage alone; ``shared``, also of other scenes' stages
+    that ran at the same time in threads of the process; ``process``, since the process began. None
+    in results from before it was noted."""
 
 
 class QueryOutcome(_Record):
@@ -117,6 +121,16 @@ class SceneResult(_Record):
     attempts: int = Field(default=1, ge=0)
     """How often it was tried: more than once where a failure was retried, 0 where its scene was
     lost with another method before it began."""
+
+    @property
+    def peak_bytes(self) -> int:
+        """Peak resident memory over all stages; 0 where none is known."""
+        return max((stage.peak_bytes for stage in self.stages), default=0)
+
+    @property
+    def peak_is_own(self) -> bool:
+        """Whether no other work of the process is in that peak."""
+        return all(stage.peak_of == "stage" for stage in self.stages)
 
     @property
     def shown_label(self) -> str:
