@@ -18,7 +18,8 @@ from flows.scene_outcome import SceneOutcome
 from flows.suite import SuiteConfig, resolve_scenes
 from reports.environment import describe_environment
 from reports.record import Result, Row
-from reports.result_io import new_run_id, write_result
+from reports.result_io import new_run_id
+from reports.results_place import ResultsPlace
 from tasks.store import Store
 
 
@@ -57,8 +58,8 @@ def benchmark_flow(
     Args:
         suite: The suite's configuration as JSON values.
         run_id: Name of the result's folder.
-        store: Where the artifact store is.
-        results: Folder of the results.
+        store: Root of the artifact store, or its URL.
+        results: Folder of the results, or its URL.
         placement: How its scenes are handed to the task runner.
         progress: Show progress bars.
 
@@ -83,7 +84,7 @@ def benchmark_flow(
     )
     rows = tuple(row for outcome in outcomes for row in outcome.rows)
     pictures = _pictures(outcomes, Store(store))
-    folder = write_result(Path(results) / run_id, result, rows, pictures)
+    folder = ResultsPlace(results).write(result, rows, pictures)
     outcome = BenchmarkOutcome(folder, result, rows, any(o.bad_input for o in outcomes))
     if outcome.failed:
         return Failed(message="\n".join(outcome.failed), data=outcome)
@@ -97,8 +98,8 @@ def run_benchmark(
 
     Args:
         suite: The suite.
-        store: Where the artifact store is.
-        results: Folder of the results; the new one is made in there.
+        store: Root of the artifact store, or its URL.
+        results: Folder of the results, or its URL; the new one is made in there.
         progress: Show progress bars.
 
     Raises:
@@ -121,8 +122,11 @@ def run_benchmark(
 
 
 def _pictures(outcomes: Sequence[SceneOutcome], store: Store) -> dict[str, Path]:
-    return {
-        name: store.path(picture)
-        for outcome in outcomes
-        for name, picture in outcome.pictures.items()
-    }
+    pictures = {}
+    for outcome in outcomes:
+        if outcome.pictures:
+            # A worker on another machine has left them in the shared store alone.
+            keys = {timing.stage: timing.key for timing in outcome.result.stages}
+            store.lookup("evaluate", keys["evaluate"])
+        pictures |= {name: store.path(picture) for name, picture in outcome.pictures.items()}
+    return pictures

@@ -24,7 +24,9 @@ def run(job: Job, progress: bool) -> int:
 
     from tasks.prefect_runtime import prefect_runtime
 
-    with prefect_runtime(Store(job.store), home=home() / "prefect"):
+    store = Store(job.store)
+    store.check()
+    with prefect_runtime(store, home=home() / "prefect"):
         from flows.benchmark import run_benchmark
 
         outcome = run_benchmark(suite, job.store, job.results, progress)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
@@ -23,7 +24,7 @@ from gvr_core.models.oracle import OracleWorld
 from gvr_core.models.registry import ModelConfig, build_models, needs_world
 from gvr_core.rendering import get_renderer
 from gvr_core.scene import Query
-from reports.record import QueryOutcome, Row, SceneResult, StageTiming
+from reports.record import Damage, QueryOutcome, Row, SceneResult, StageTiming
 from tasks.evaluation import Scored
 from tasks.groundings import Answer, unpack_answers
 from tasks.stage import StageRun
@@ -108,7 +109,7 @@ def scene_flow(
         suite: The suite's configuration as JSON values.
         dataset: Name of the data set.
         scene: Name of the scene.
-        store: Where the artifact store is.
+        store: Root of the artifact store, or its URL.
         lines: Names of the lines to run, in this order.
         listener: Is told of each line when it begins and when it ends.
         progress: Show progress bars.
@@ -270,4 +271,7 @@ def _timing(run: StageRun) -> StageTiming:
         peak_of=record.peak_of,
         state="cached" if run.cached else "computed",
         key=record.key,
+        damage=tuple(Damage(**asdict(found)) for found in run.notes.findings),
+        fetched=run.notes.fetched,
+        unshared=run.notes.unshared,
     )

@@ -8,6 +8,7 @@ Layout under the root::
     tmp/                          files being written
     damaged/                      objects whose content was found wrong
     prefect-results/              what Prefect keeps about the stage tasks (JSON)
+    shared/<id of a URL>/         what is known of a shared store (`tasks.remote_tier`)
 
 It knows nothing of Prefect: `Store.compute_once` is all that a library user needs::
 
@@ -20,8 +21,16 @@ It knows nothing of Prefect: `Store.compute_once` is all that a library user nee
 from __future__ import annotations
 
 from gvr_core.errors import StoreError
-from tasks.record_store import LookupCounts, RecordStore, StageFunction, StageOutput
+from tasks.record_store import LookupCounts, StageFunction, StageOutput
 from tasks.records import Artifact, StageRecord, canonical_json, stage_key
+from tasks.remote_upkeep import (
+    PushReport,
+    collect_shared_garbage,
+    list_shared,
+    push_everything,
+    verify_shared,
+)
+from tasks.shared_store import SharedStore
 from tasks.upkeep import (
     GRACE_SECONDS,
     GcReport,
@@ -37,6 +46,7 @@ __all__ = [
     "GcReport",
     "Listing",
     "LookupCounts",
+    "PushReport",
     "StageFunction",
     "StageOutput",
     "StageRecord",
@@ -48,17 +58,40 @@ __all__ = [
 ]
 
 
-class Store(RecordStore):
+class Store(SharedStore):
     """The whole store: objects, records, and their upkeep.
 
     Args:
-        root: The store's folder; else the environment variable GVR_STORE, else ``.gvr/store``
-            under the current folder. Made at the first write.
+        root: The store's folder, or the URL of one that several machines share (its local
+            folder is then `tasks.objects.local_root`); else the environment variable GVR_STORE,
+            else ``.gvr/store`` under the current folder. Made at the first write.
     """
 
     def ls(self, stage: str | None = None) -> Listing:
         """The records, newest first, of one stage or of all."""
         return list_records(self, stage)
+
+    def ls_shared(self) -> Listing:
+        """What is in the shared store; see `tasks.remote_upkeep.list_shared`."""
+        return list_shared(self)
+
+    def push_all(self) -> PushReport:
+        """Put into the shared store what it lacks; see `tasks.remote_upkeep.push_everything`."""
+        return push_everything(self)
+
+    def verify_shared(self) -> VerifyReport:
+        """Check the shared store; see `tasks.remote_upkeep.verify_shared`."""
+        return verify_shared(self)
+
+    def gc_shared(
+        self,
+        keep_days: float | None = None,
+        *,
+        dry_run: bool = False,
+        grace_seconds: float = GRACE_SECONDS,
+    ) -> GcReport:
+        """Collect in the shared store; see `tasks.remote_upkeep.collect_shared_garbage`."""
+        return collect_shared_garbage(self, keep_days, dry_run=dry_run, grace_seconds=grace_seconds)
 
     def verify(self) -> VerifyReport:
         """Hash every object that a record names, and count those that none names."""
