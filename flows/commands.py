@@ -182,7 +182,9 @@ def sync(names: Sequence[str], root: Path | str, mlflow: str) -> None:
 
 def _fill_mlflow(folders: Sequence[Path], uri: str) -> None:
     for folder in folders:
-        console.print(f"MLflow: {fill_mlflow(folder, uri)}", soft_wrap=True, highlight=False)
+        console.print(
+            f"MLflow: {fill_mlflow(folder, uri, patient=True)}", soft_wrap=True, highlight=False
+        )
 
 
 def ui(port: int, host: str, exposed: bool) -> None:

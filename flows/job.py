@@ -68,8 +68,13 @@ def prepare(job: Job) -> SuiteConfig:
     return suite
 
 
-def fill_mlflow(folder: Path, uri: str) -> str:
+def fill_mlflow(folder: Path, uri: str, patient: bool = False) -> str:
     """Fill MLflow from one result.
+
+    Args:
+        folder: The result's folder.
+        uri: The MLflow to fill.
+        patient: Go on as long as MLflow answers; a run does not wait for ever.
 
     Returns:
         What was written, in words.
@@ -77,10 +82,11 @@ def fill_mlflow(folder: Path, uri: str) -> str:
     Raises:
         SyncError: if MLflow cannot be filled; the result itself is safe.
     """
-    from reports.mlflow_sink import sync
+    from reports.mlflow_sink import FILL_SECONDS, sync
 
     result, _ = read_result(folder)
-    return str(sync(folder, uri, str(result.config.get("experiment", "gvr-bench"))))
+    experiment = str(result.config.get("experiment", "gvr-bench"))
+    return str(sync(folder, uri, experiment, None if patient else FILL_SECONDS))
 
 
 def not_filled(error: SyncError) -> str:

@@ -77,10 +77,12 @@ def nightly(
         tracking_uri=(tracking_uri or default_tracking_uri()) if mlflow else None,
     )
     config = prepare(job)
+    known = Store(job.store)
+    known.check()
     lock = home() / "prefect" / f"nightly-{config.name}.lock"
     try:
         # The kernel lets go of it however the run ends, so no slot stays taken.
-        with file_lock(lock, timeout=0), prefect_runtime(Store(job.store), quiet=False):
+        with file_lock(lock, timeout=0), prefect_runtime(known, quiet=False):
             outcome = run_benchmark(config, job.store, job.results)
     except StoreError as error:
         if str(lock) not in str(error):

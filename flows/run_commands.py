@@ -22,11 +22,12 @@ def run(job: Job, progress: bool) -> int:
     """
     suite = prepare(job)
 
+    from tasks.prefect_loss import prefect_loss
     from tasks.prefect_runtime import prefect_runtime
 
     store = Store(job.store)
     store.check()
-    with prefect_runtime(store, home=home() / "prefect"):
+    with prefect_loss(), prefect_runtime(store, home=home() / "prefect"):
         from flows.benchmark import run_benchmark
 
         outcome = run_benchmark(suite, job.store, job.results, progress)

@@ -13,6 +13,8 @@
     ├── SceneLost             a scene's process died or was ended (flows.scene_process)
     ├── StoreError            the artifact store: a damaged object, a record that is not ours
     │   └── RemoteError           a folder behind a URL that does not answer, or refuses
+    ├── ResultWriteError      a disk that does not take a result (reports.result_check)
+    ├── PrefectLost           the Prefect server is gone (tasks.prefect_loss)
     ├── SyncError             MLflow could not be filled (reports.mlflow_store)
     └── ServerError           MLflow's pages could not be served (reports.mlflow_server)
 """

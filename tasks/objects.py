@@ -28,12 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue, ValidationError
 
-from gvr_core.atomic import file_digest
+from gvr_core.atomic import file_digest, why_not_written
 from gvr_core.errors import StoreError
 from gvr_core.locks import file_lock
 from gvr_core.remote_url import is_url
 from tasks.arrays import ArrayWriter, Layout, StoredArrays, write_arrays
-from tasks.files import Stamp, move_into_place, sync_file, temporary_name
+from tasks.files import Stamp, move_into_place, storing, sync_file, temporary_name
 from tasks.records import DIGEST, Artifact, canonical_json
 
 DEFAULT_ROOT = Path(".gvr/store")
@@ -111,14 +111,11 @@ class ObjectStore:
             meta: JSON values; kept in the file as well as in the handle.
 
         Raises:
-            StoreError: A name, dtype or meta value that cannot be stored.
+            StoreError: A name, dtype or meta value that cannot be stored, or a full disk.
         """
-        temporary = temporary_name(self.temporary, ".safetensors")
-        try:
+        with self._temporary(".safetensors") as temporary:
             write_arrays(temporary, arrays, meta or {})
             return self._adopt(temporary, kind, ".safetensors", meta)
-        finally:
-            temporary.unlink(missing_ok=True)
 
     @contextmanager
     def new_arrays(
@@ -136,16 +133,13 @@ class ObjectStore:
 
         Raises:
             StoreError: A name, dtype or meta value that cannot be stored, or an array that was
-                not written to its end.
+                not written to its end, or a full disk.
         """
-        temporary = temporary_name(self.temporary, ".safetensors")
-        try:
+        with self._temporary(".safetensors") as temporary:
             with ArrayWriter(temporary, layout, meta or {}) as writer:
                 new = NewArrays(writer)
                 yield new
             new._artifact = self._adopt(temporary, kind, ".safetensors", meta)
-        finally:
-            temporary.unlink(missing_ok=True)
 
     def put_json(
         self, kind: str, value: JsonValue, meta: Mapping[str, Any] | None = None
@@ -169,14 +163,11 @@ class ObjectStore:
             meta: JSON values for the handle.
 
         Raises:
-            StoreError: A suffix or meta value that cannot be used.
+            StoreError: A suffix or meta value that cannot be used, or a full disk.
         """
-        temporary = temporary_name(self.temporary, ".bytes")
-        try:
+        with self._temporary(".bytes") as temporary:
             temporary.write_bytes(data)
             return self._adopt(temporary, kind, suffix, meta)
-        finally:
-            temporary.unlink(missing_ok=True)
 
     def put_file(
         self,
@@ -194,17 +185,26 @@ class ObjectStore:
             suffix: Of the object's name; the file's own, in lower case, where None.
 
         Raises:
-            StoreError: There is no such file, or a suffix that cannot be used.
+            StoreError: There is no such file, a suffix that cannot be used, or a full disk.
         """
         chosen = path.suffix.lower() if suffix is None else suffix
-        temporary = temporary_name(self.temporary, ".copy")
-        try:
-            shutil.copyfile(path, temporary)
+        with self._temporary(".copy") as temporary:
+            try:
+                shutil.copyfile(path, temporary)
+            except OSError as error:
+                reason = why_not_written(error, self.root)
+                raise StoreError(f"{path}: cannot be copied into the store: {reason}") from error
             return self._adopt(temporary, kind, chosen, meta)
-        except OSError as error:
-            raise StoreError(f"{path}: cannot be copied into the store: {error}") from error
-        finally:
-            temporary.unlink(missing_ok=True)
+
+    @contextmanager
+    def _temporary(self, suffix: str) -> Iterator[Path]:
+        """The name of a file that is gone at the end of the block."""
+        with storing(self.root):
+            temporary = temporary_name(self.temporary, suffix)
+            try:
+                yield temporary
+            finally:
+                temporary.unlink(missing_ok=True)
 
     def _adopt(
         self, temporary: Path, kind: str, suffix: str, meta: Mapping[str, Any] | None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +15,7 @@ from pydantic import JsonValue, ValidationError
 
 from gvr_core.errors import StoreError
 from gvr_core.locks import file_lock
-from tasks.files import temporary_name, write_atomically
+from tasks.files import storing, temporary_name, write_atomically
 from tasks.findings import Notes
 from tasks.measure import Measurement
 from tasks.objects import ObjectStore
@@ -158,7 +158,7 @@ class RecordStore(ObjectStore):
             path = self.locate(artifact)
         except StoreError:
             return
-        with file_lock(self.guard):
+        with storing(self.root), file_lock(self.guard):
             if os.path.lexists(path) and self.problem(artifact, thorough=True) is not None:
                 path.replace(temporary_name(self.root / "damaged", f"-{path.name}"))
 
@@ -222,8 +222,10 @@ class RecordStore(ObjectStore):
         held: set[Path] = _held.__dict__.setdefault("paths", set())
         if path in held:
             raise StoreError(f"the stage with key {key} asks for its own result")
-        with file_lock(path):
-            os.utime(path)  # the garbage collector spares what is newer than a held lock
+        with ExitStack() as stack:
+            with storing(self.root):
+                stack.enter_context(file_lock(path))
+                os.utime(path)  # the garbage collector spares what is newer than a held lock
             held.add(path)
             try:
                 yield
@@ -271,7 +273,7 @@ class RecordStore(ObjectStore):
 
     def _write_record(self, record: StageRecord) -> None:
         text = canonical_json(record.to_json(), name=f"record of {record.stage}")
-        with file_lock(self.guard, shared=True):
+        with storing(self.root), file_lock(self.guard, shared=True):
             write_atomically(self.record_path(record.stage, record.key), text, self.temporary)
 
     def records(self) -> Iterator[tuple[Path, StageRecord | None]]:
