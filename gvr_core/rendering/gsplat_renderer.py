@@ -1,0 +1,306 @@
+"""The CUDA renderer: gsplat's kernels, under the conventions and behind the protocol of all.
+
+gsplat (Ye et al., 2024) draws colour, alpha and expected depth of several views in one call. What
+it does not have, :mod:`gvr_core.rendering.gsplat_view` makes from its projection: the median depth
+from the list of blended pairs, the weights of masks from a gradient.
+
+The conventions need no care: gsplat's are the project's (near plane, 0.3 px low-pass, alpha from
+1/255 to 0.999, stop at T = 1e-4, order of depth with ties in order of index). It computes in
+float32 throughout, where the CPU renderer keeps what cancels apart.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from gvr_core.cameras import Camera
+from gvr_core.gaussians import Gaussians
+from gvr_core.rendering.base import LOW_PASS, NEAR, Rendering
+from gvr_core.rendering.gsplat_functions import (
+    TILE,
+    GsplatFunctions,
+    gsplat_functions,
+    load_kernels,
+)
+from gvr_core.rendering.gsplat_view import ProjectedView, median_depth, views_of, weight_sums
+from gvr_core.rendering.inputs import checked_background, checked_mask
+
+FloatArray = NDArray[np.float32]
+
+PAIRS_AT_ONCE = 8_000_000
+"""Most pairs of view and Gaussian in one call; each takes about 300 bytes of the card's memory."""
+VIEWS_AT_ONCE = 32
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceGaussians:
+    """A set of Gaussians on the card, moved near the origin."""
+
+    means: Tensor
+    """(N, 3) float32, less ``origin``."""
+    scales: Tensor
+    quats: Tensor
+    opacities: Tensor
+    sh: Tensor
+    degree: int
+    origin: NDArray[np.float64]
+    """(3,) world frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """One view as gsplat drew it, on the card."""
+
+    rgb: Tensor
+    """(H, W, 3)."""
+    alpha: Tensor
+    """(H, W)."""
+    expected_depth: Tensor
+    """(H, W)."""
+    view: ProjectedView
+
+
+class GsplatRenderer:
+    """Draws Gaussians on a CUDA GPU.
+
+    Args:
+        api: gsplat, or what stands for it; None for the installed one, whose CUDA code is compiled
+            or loaded at the first picture.
+        version: Version of ``api``; part of the name.
+        device: Where ``api`` computes.
+
+    Raises:
+        ConfigError: without a CUDA GPU or without gsplat, saying which and what to do.
+    """
+
+    def __init__(
+        self,
+        api: GsplatFunctions | None = None,
+        version: str = "",
+        device: str = "cuda",
+    ) -> None:
+        self._loaded = api is not None
+        if api is None:
+            api, version = gsplat_functions()
+        self._api, self._version, self._device = api, version, torch.device(device)
+        self._last: tuple[weakref.ref[Gaussians], DeviceGaussians] | None = None
+
+    @property
+    def name(self) -> str:
+        """Name and version of the backend; gsplat's version may change a picture."""
+        return f"gsplat/1/{self._version}"
+
+    def render(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        mask: FloatArray | None = None,
+    ) -> Rendering:
+        """Draw one picture; see :class:`gvr_core.rendering.base.Renderer`.
+
+        Raises:
+            InputError: for a background or a mask that does not fit.
+            ConfigError: at the first picture, where gsplat's CUDA code does not load.
+        """
+        masks = None if mask is None else [mask]
+        return next(self.render_many(gaussians, [camera], background, masks))
+
+    def render_many(
+        self,
+        gaussians: Gaussians,
+        cameras: Sequence[Camera],
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        masks: Sequence[FloatArray] | None = None,
+    ) -> Iterator[Rendering]:
+        """Draw several pictures; neighbours of one size in one call of gsplat.
+
+        Args:
+            gaussians: The set to draw.
+            cameras: The n cameras.
+            background: Colour behind everything, each channel in [0, 1].
+            masks: n masks (H, W) in [0, 1], or None.
+
+        Yields:
+            The n pictures in order.
+
+        Raises:
+            InputError: for a background or a mask that does not fit.
+            ConfigError: at the first picture, where gsplat's CUDA code does not load.
+        """
+        colour = checked_background(background)
+        portions = (
+            None
+            if masks is None
+            else [checked_mask(mask, camera) for mask, camera in zip(masks, cameras, strict=True)]
+        )
+        done = 0
+        for drawn in self._draw(gaussians, cameras, colour):
+            portion = None if portions is None else portions[done]
+            yield self._finished(drawn, portion)
+            done += 1
+
+    def mask_weights(
+        self, gaussians: Gaussians, camera: Camera, masks: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Each Gaussian's weights under many masks of one view.
+
+        Args:
+            gaussians: The set.
+            camera: The view.
+            masks: (M, H, W) in [0, 1].
+
+        Returns:
+            (M, N) sums over pixels of mask * alpha_g T, and (N,) the same without a mask.
+
+        Raises:
+            InputError: for a mask that does not fit.
+        """
+        checked = [checked_mask(mask, camera) for mask in masks]
+        everywhere = np.ones((camera.height, camera.width), np.float32)
+        (drawn,) = self._draw(gaussians, [camera], checked_background((0, 0, 0)))
+        stack = torch.from_numpy(np.stack([*checked, everywhere])).to(self._device)
+        sums = _array(weight_sums(self._api, drawn.view, stack))
+        return sums[:-1], sums[-1]
+
+    def _draw(
+        self, gaussians: Gaussians, cameras: Sequence[Camera], background: FloatArray
+    ) -> Iterator[Drawn]:
+        if not self._loaded:
+            load_kernels()
+            self._loaded = True
+        scene = self._on_device(gaussians)
+        most = max(1, min(VIEWS_AT_ONCE, PAIRS_AT_ONCE // len(gaussians)))
+        for batch in batches(cameras, most):
+            yield from self._rasterize(scene, batch, background)
+
+    # Not inference_mode: its tensors could not take part in the gradient of the weights.
+    @torch.no_grad()
+    def _rasterize(
+        self, scene: DeviceGaussians, cameras: Sequence[Camera], background: FloatArray
+    ) -> list[Drawn]:
+        poses, lenses = camera_matrices(cameras, scene.origin)
+        colours, alphas, meta = self._api.rasterization(
+            means=scene.means,
+            quats=scene.quats,
+            scales=scene.scales,
+            opacities=scene.opacities,
+            colors=scene.sh,
+            viewmats=torch.from_numpy(poses).to(self._device),
+            Ks=torch.from_numpy(lenses).to(self._device),
+            width=cameras[0].width,
+            height=cameras[0].height,
+            near_plane=NEAR,
+            eps2d=LOW_PASS,
+            sh_degree=scene.degree,
+            packed=False,  # the lists of blended pairs exist for this layout only
+            tile_size=TILE,
+            backgrounds=torch.from_numpy(background).to(self._device).repeat(len(cameras), 1),
+            render_mode="RGB+ED",
+        )
+        return [
+            Drawn(colours[i, ..., :3], alphas[i, ..., 0], colours[i, ..., 3], view)
+            for i, view in enumerate(views_of(meta))
+        ]
+
+    def _finished(self, drawn: Drawn, mask: FloatArray | None) -> Rendering:
+        inside = outside = None
+        if mask is not None:
+            both = torch.from_numpy(np.stack([mask, 1 - mask])).to(self._device)
+            inside, outside = _array(weight_sums(self._api, drawn.view, both))
+        return Rendering(
+            rgb=_array(drawn.rgb),
+            alpha=_array(drawn.alpha),
+            expected_depth=_array(drawn.expected_depth),
+            median_depth=_array(median_depth(self._api, drawn.view)),
+            weight_inside=inside,
+            weight_outside=outside,
+        )
+
+    def _on_device(self, gaussians: Gaussians) -> DeviceGaussians:
+        """The set on the card; the last one stays there for as long as it lives."""
+        if self._last is not None and self._last[0]() is gaussians:
+            return self._last[1]
+        origin = exact_origin(gaussians.means)
+        arrays = (
+            (gaussians.means - origin).astype(np.float32),
+            *(gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.sh),
+        )
+        tensors = (torch.tensor(np.ascontiguousarray(array)).to(self._device) for array in arrays)
+        scene = DeviceGaussians(*tensors, gaussians.sh_degree, origin)
+        self._last = (weakref.ref(gaussians, self._forget), scene)
+        return scene
+
+    def _forget(self, reference: weakref.ref[Gaussians]) -> None:
+        if self._last is not None and self._last[0] is reference:
+            self._last = None
+
+
+def batches(cameras: Sequence[Camera], most: int) -> Iterator[Sequence[Camera]]:
+    """Neighbours of equal picture size, at most so many at once.
+
+    Args:
+        cameras: The cameras, whose order is kept.
+        most: In one batch.
+    """
+    start = 0
+    for end in range(1, len(cameras) + 1):
+        if end < len(cameras) and end - start < most and _size(cameras[end]) == _size(cameras[start]):
+            continue
+        yield cameras[start:end]
+        start = end
+
+
+def exact_origin(means: FloatArray) -> NDArray[np.float64]:
+    """A point near the middle of a set, such that taking it off loses no digit.
+
+    A scene far from the origin would lose in gsplat's float32 what it is apart by. The point lies
+    on a grid coarser than the scene, and is 0 for a scene around the origin.
+
+    Args:
+        means: (N, 3) float32, world frame.
+
+    Returns:
+        (3,) float64, world frame.
+    """
+    middle = np.median(means, axis=0).astype(np.float64)
+    spread = float(np.abs(means - middle).max())
+    if spread == 0:
+        return middle
+    step = 2.0 ** np.ceil(np.log2(4 * spread))
+    origin: NDArray[np.float64] = np.trunc(middle / step) * step
+    return origin
+
+
+def camera_matrices(
+    cameras: Sequence[Camera], origin: NDArray[np.float64]
+) -> tuple[FloatArray, FloatArray]:
+    """World-to-camera matrices of a world moved by ``-origin``, and intrinsics.
+
+    Args:
+        cameras: The n cameras.
+        origin: (3,) world frame.
+
+    Returns:
+        (n, 4, 4) and (n, 3, 3) float32.
+    """
+    poses = np.stack([camera.world_to_camera for camera in cameras]).astype(np.float64)
+    poses[:, :3, 3] += poses[:, :3, :3] @ origin
+    lenses = np.stack([camera.K for camera in cameras])
+    return poses.astype(np.float32), lenses.astype(np.float32)
+
+
+def _size(camera: Camera) -> tuple[int, int]:
+    return camera.width, camera.height
+
+
+def _array(tensor: Tensor) -> FloatArray:
+    array: FloatArray = tensor.detach().to("cpu", torch.float32).contiguous().numpy()
+    return array
