@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -235,7 +236,7 @@ def tiles(
     """All tiles that have Gaussians in the given part of their lists."""
     edges = [*starts.flatten().tolist(), len(ids)]
     columns = starts.shape[2]
-    for number, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for number, (first, last) in enumerate(pairwise(edges)):
         chosen = ids[first:last][part].long()
         if not len(chosen):
             continue

@@ -88,7 +88,7 @@ class GsplatFunctions(Protocol):
 
 
 def gsplat_functions() -> tuple[GsplatFunctions, str]:
-    """gsplat's functions and its version, where they can run.
+    """The functions of gsplat and its version, where they can run.
 
     Nothing is compiled yet: see :func:`load_kernels`.
 

@@ -141,11 +141,8 @@ class GsplatRenderer:
             if masks is None
             else [checked_mask(mask, camera) for mask, camera in zip(masks, cameras, strict=True)]
         )
-        done = 0
-        for drawn in self._draw(gaussians, cameras, colour):
-            portion = None if portions is None else portions[done]
-            yield self._finished(drawn, portion)
-            done += 1
+        for i, drawn in enumerate(self._draw(gaussians, cameras, colour)):
+            yield self._finished(drawn, None if portions is None else portions[i])
 
     def mask_weights(
         self, gaussians: Gaussians, camera: Camera, masks: FloatArray
@@ -229,14 +226,21 @@ class GsplatRenderer:
         if self._last is not None and self._last[0]() is gaussians:
             return self._last[1]
         origin = exact_origin(gaussians.means)
-        arrays = (
-            (gaussians.means - origin).astype(np.float32),
-            *(gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.sh),
+        scene = DeviceGaussians(
+            means=self._sent((gaussians.means - origin).astype(np.float32)),
+            scales=self._sent(gaussians.scales),
+            quats=self._sent(gaussians.quats),
+            opacities=self._sent(gaussians.opacities),
+            sh=self._sent(gaussians.sh),
+            degree=gaussians.sh_degree,
+            origin=origin,
         )
-        tensors = (torch.tensor(np.ascontiguousarray(array)).to(self._device) for array in arrays)
-        scene = DeviceGaussians(*tensors, gaussians.sh_degree, origin)
         self._last = (weakref.ref(gaussians, self._forget), scene)
         return scene
+
+    def _sent(self, array: FloatArray) -> Tensor:
+        # A copy: on a processor torch would share memory that may be read-only.
+        return torch.tensor(np.ascontiguousarray(array), device=self._device)
 
     def _forget(self, reference: weakref.ref[Gaussians]) -> None:
         if self._last is not None and self._last[0] is reference:
@@ -252,7 +256,11 @@ def batches(cameras: Sequence[Camera], most: int) -> Iterator[Sequence[Camera]]:
     """
     start = 0
     for end in range(1, len(cameras) + 1):
-        if end < len(cameras) and end - start < most and _size(cameras[end]) == _size(cameras[start]):
+        if (
+            end < len(cameras)
+            and end - start < most
+            and _size(cameras[end]) == _size(cameras[start])
+        ):
             continue
         yield cameras[start:end]
         start = end
@@ -261,8 +269,9 @@ def batches(cameras: Sequence[Camera], most: int) -> Iterator[Sequence[Camera]]:
 def exact_origin(means: FloatArray) -> NDArray[np.float64]:
     """A point near the middle of a set, such that taking it off loses no digit.
 
-    A scene far from the origin would lose in gsplat's float32 what it is apart by. The point lies
-    on a grid coarser than the scene, and is 0 for a scene around the origin.
+    A scene far from the origin would lose in gsplat's float32 what it is apart by. Along each axis
+    the point is the middle of a scene that lies further off than three times its own size, where
+    the difference of two float32 numbers is exact (Sterbenz, 1974), and 0 of all others.
 
     Args:
         means: (N, 3) float32, world frame.
@@ -270,12 +279,9 @@ def exact_origin(means: FloatArray) -> NDArray[np.float64]:
     Returns:
         (3,) float64, world frame.
     """
-    middle = np.median(means, axis=0).astype(np.float64)
-    spread = float(np.abs(means - middle).max())
-    if spread == 0:
-        return middle
-    step = 2.0 ** np.ceil(np.log2(4 * spread))
-    origin: NDArray[np.float64] = np.trunc(middle / step) * step
+    low, high = means.min(axis=0), means.max(axis=0)
+    middle = ((low + high) / 2).astype(np.float64)
+    origin: NDArray[np.float64] = np.where(np.abs(middle) > 3 * (high - low), middle, 0)
     return origin
 
 

@@ -65,7 +65,7 @@ def views_of(meta: dict[str, Any]) -> list[ProjectedView]:
 
 @torch.no_grad()
 def median_depth(api: GsplatFunctions, view: ProjectedView) -> Tensor:
-    """z of the Gaussian at which the transmittance T crosses 0.5.
+    """Depth of the Gaussian at which the transmittance T crosses 0.5.
 
     gsplat names the Gaussians that it blends in each pixel, front to back, a block of a tile's list
     at a time. Here their opacities are multiplied up to T, in double; the Gaussian that takes T
@@ -89,8 +89,14 @@ def median_depth(api: GsplatFunctions, view: ProjectedView) -> Tensor:
             block,
             block + 1,
             through.to(torch.float32).reshape(1, view.height, view.width),
-            *(view.means2d, view.conics, view.opacities),
-            *(view.width, view.height, TILE, view.tile_starts, view.ids),
+            view.means2d,
+            view.conics,
+            view.opacities,
+            view.width,
+            view.height,
+            TILE,
+            view.tile_starts,
+            view.ids,
         )
         if ids.numel() == 0:
             continue
@@ -128,8 +134,15 @@ def weight_sums(api: GsplatFunctions, view: ProjectedView, masks: Tensor) -> Ten
         with torch.enable_grad():
             colours = torch.zeros(1, n, len(part), device=masks.device, requires_grad=True)
             drawn, alpha = api.rasterize_to_pixels(
-                *(view.means2d, view.conics, colours, view.opacities),
-                *(view.width, view.height, TILE, view.tile_starts, view.ids),
+                view.means2d,
+                view.conics,
+                colours,
+                view.opacities,
+                view.width,
+                view.height,
+                TILE,
+                view.tile_starts,
+                view.ids,
                 backgrounds=torch.ones(1, len(part), device=masks.device),
             )
         correction = drawn[..., :1].detach() / (1 - alpha.detach())
