@@ -13,11 +13,13 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy import sparse
 from torch import Tensor
 
 from gvr_core.cameras import Camera
@@ -30,9 +32,15 @@ from gvr_core.rendering.gsplat_functions import (
     load_kernels,
 )
 from gvr_core.rendering.gsplat_view import ProjectedView, median_depth, views_of, weight_sums
-from gvr_core.rendering.inputs import checked_background, checked_mask
+from gvr_core.rendering.inputs import (
+    checked_background,
+    checked_mask,
+    checked_masks,
+    checked_shown,
+)
 
 FloatArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
 
 PAIRS_AT_ONCE = 8_000_000
 """Most pairs of view and Gaussian in one call; each takes about 300 bytes of the card's memory."""
@@ -103,77 +111,88 @@ class GsplatRenderer:
         camera: Camera,
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         mask: FloatArray | None = None,
+        shown: BoolArray | None = None,
     ) -> Rendering:
         """Draw one picture; see :class:`gvr_core.rendering.base.Renderer`.
 
         Raises:
-            InputError: for a background or a mask that does not fit.
+            InputError: for a background, a mask or flags that do not fit.
             ConfigError: at the first picture, where gsplat's CUDA code does not load.
         """
-        masks = None if mask is None else [mask]
-        return next(self.render_many(gaussians, [camera], background, masks))
+        portion = None if mask is None else checked_mask(mask, camera)
+        (drawn,) = self._draw(gaussians, [camera], checked_background(background), shown)
+        picture = self._finished(drawn)
+        if portion is None:
+            return picture
+        both = self._sent(np.stack([portion, 1 - portion]))
+        inside, outside = _array(weight_sums(self._api, drawn.view, both))
+        return replace(picture, weight_inside=inside, weight_outside=outside)
 
     def render_many(
         self,
         gaussians: Gaussians,
         cameras: Sequence[Camera],
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        masks: Sequence[FloatArray] | None = None,
+        shown: BoolArray | None = None,
     ) -> Iterator[Rendering]:
         """Draw several pictures; neighbours of one size in one call of gsplat.
 
-        Args:
-            gaussians: The set to draw.
-            cameras: The n cameras.
-            background: Colour behind everything, each channel in [0, 1].
-            masks: n masks (H, W) in [0, 1], or None.
-
-        Yields:
-            The n pictures in order.
+        See :class:`gvr_core.rendering.base.Renderer`.
 
         Raises:
-            InputError: for a background or a mask that does not fit.
+            InputError: for a background or flags that do not fit.
             ConfigError: at the first picture, where gsplat's CUDA code does not load.
         """
         colour = checked_background(background)
-        portions = (
-            None
-            if masks is None
-            else [checked_mask(mask, camera) for mask, camera in zip(masks, cameras, strict=True)]
-        )
-        for i, drawn in enumerate(self._draw(gaussians, cameras, colour)):
-            yield self._finished(drawn, None if portions is None else portions[i])
+        for drawn in self._draw(gaussians, cameras, colour, shown):
+            yield self._finished(drawn)
 
-    def mask_weights(
-        self, gaussians: Gaussians, camera: Camera, masks: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Each Gaussian's weights under many masks of one view.
+    def weights(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        masks: BoolArray,
+        shown: BoolArray | None = None,
+    ) -> sparse.csr_array:
+        """How much of what is under each mask is each Gaussian's.
+
+        See :class:`gvr_core.rendering.base.Renderer`. gsplat adds with atomics: the last digits
+        differ from call to call.
 
         Args:
-            gaussians: The set.
-            camera: The view.
-            masks: (M, H, W) in [0, 1].
+            gaussians: The set to draw.
+            camera: The camera of the masks.
+            masks: (K, H, W) bool.
+            shown: (N,) flags of the Gaussians to draw; None for all.
 
         Returns:
-            (M, N) sums over pixels of mask * alpha_g T, and (N,) the same without a mask.
+            (N, K) float32, sparse.
 
         Raises:
-            InputError: for a mask that does not fit.
+            InputError: for masks or flags that do not fit.
+            ConfigError: at the first picture, where gsplat's CUDA code does not load.
         """
-        checked = [checked_mask(mask, camera) for mask in masks]
-        everywhere = np.ones((camera.height, camera.width), np.float32)
-        (drawn,) = self._draw(gaussians, [camera], checked_background((0, 0, 0)))
-        stack = torch.from_numpy(np.stack([*checked, everywhere])).to(self._device)
-        sums = _array(weight_sums(self._api, drawn.view, stack))
-        return sums[:-1], sums[-1]
+        portions = self._sent(checked_masks(masks, camera)).to(torch.float32)
+        black = np.zeros(3, np.float32)
+        (drawn,) = self._draw(gaussians, [camera], black, shown)
+        return sparse.csr_array(_array(weight_sums(self._api, drawn.view, portions)).T)
 
     def _draw(
-        self, gaussians: Gaussians, cameras: Sequence[Camera], background: FloatArray
+        self,
+        gaussians: Gaussians,
+        cameras: Sequence[Camera],
+        background: FloatArray,
+        shown: BoolArray | None,
     ) -> Iterator[Drawn]:
+        flags = None if shown is None else checked_shown(shown, len(gaussians))
         if not self._loaded:
             load_kernels()
             self._loaded = True
         scene = self._on_device(gaussians)
+        if flags is not None:
+            # gsplat culls what is fainter than 1/255 before anything else.
+            hidden = self._sent(~flags)
+            scene = replace(scene, opacities=scene.opacities.masked_fill(hidden, 0))
         most = max(1, min(VIEWS_AT_ONCE, PAIRS_AT_ONCE // len(gaussians)))
         for batch in batches(cameras, most):
             yield from self._rasterize(scene, batch, background)
@@ -190,8 +209,8 @@ class GsplatRenderer:
             scales=scene.scales,
             opacities=scene.opacities,
             colors=scene.sh,
-            viewmats=torch.from_numpy(poses).to(self._device),
-            Ks=torch.from_numpy(lenses).to(self._device),
+            viewmats=self._sent(poses),
+            Ks=self._sent(lenses),
             width=cameras[0].width,
             height=cameras[0].height,
             near_plane=NEAR,
@@ -199,7 +218,7 @@ class GsplatRenderer:
             sh_degree=scene.degree,
             packed=False,  # the lists of blended pairs exist for this layout only
             tile_size=TILE,
-            backgrounds=torch.from_numpy(background).to(self._device).repeat(len(cameras), 1),
+            backgrounds=self._sent(background).repeat(len(cameras), 1),
             render_mode="RGB+ED",
         )
         return [
@@ -207,18 +226,12 @@ class GsplatRenderer:
             for i, view in enumerate(views_of(meta))
         ]
 
-    def _finished(self, drawn: Drawn, mask: FloatArray | None) -> Rendering:
-        inside = outside = None
-        if mask is not None:
-            both = torch.from_numpy(np.stack([mask, 1 - mask])).to(self._device)
-            inside, outside = _array(weight_sums(self._api, drawn.view, both))
+    def _finished(self, drawn: Drawn) -> Rendering:
         return Rendering(
             rgb=_array(drawn.rgb),
             alpha=_array(drawn.alpha),
             expected_depth=_array(drawn.expected_depth),
             median_depth=_array(median_depth(self._api, drawn.view)),
-            weight_inside=inside,
-            weight_outside=outside,
         )
 
     def _on_device(self, gaussians: Gaussians) -> DeviceGaussians:
@@ -238,7 +251,7 @@ class GsplatRenderer:
         self._last = (weakref.ref(gaussians, self._forget), scene)
         return scene
 
-    def _sent(self, array: FloatArray) -> Tensor:
+    def _sent(self, array: NDArray[Any]) -> Tensor:
         # A copy: on a processor torch would share memory that may be read-only.
         return torch.tensor(np.ascontiguousarray(array), device=self._device)
 

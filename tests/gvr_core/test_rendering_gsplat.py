@@ -145,12 +145,11 @@ def test_many_views_are_one_call_for_each_size(double: GsplatDouble) -> None:
     eyes = [(2.5, 1.2, 0.3), (2.0, -1.0, 0.5), (-2.0, 1.0, 0.0), (-2.0, -1.0, 0.2), (0, 0, 0.1)]
     sizes = [(48, 40), (48, 40), (33, 40), (48, 40), (48, 40)]
     views = [camera(*size, eye=eye) for size, eye in zip(sizes, eyes, strict=True)]
-    masks = [soft_mask(view) for view in views]
-    together = list(renderer.render_many(scene, views, BACKGROUND, masks))
+    together = list(renderer.render_many(scene, views, BACKGROUND))
     assert double.calls == [2, 1, 2]
-    for view, mask, picture in zip(views, masks, together, strict=True):
-        alone = renderer.render(scene, view, BACKGROUND, mask)
-        for name in ("rgb", "alpha", "expected_depth", "median_depth", "weight_inside"):
+    for view, picture in zip(views, together, strict=True):
+        alone = renderer.render(scene, view, BACKGROUND)
+        for name in ("rgb", "alpha", "expected_depth", "median_depth"):
             np.testing.assert_allclose(
                 getattr(picture, name), getattr(alone, name), rtol=1e-4, atol=1e-6, err_msg=name
             )
@@ -159,17 +158,31 @@ def test_many_views_are_one_call_for_each_size(double: GsplatDouble) -> None:
 
 def test_weights_of_many_masks_are_those_of_each(renderer: GsplatRenderer) -> None:
     scene, view = surface_scene(1500), corner_camera(48, 40)
-    rng = np.random.default_rng(0)
-    masks = (rng.random((CHANNELS + 3, 40, 48)) < 0.3).astype(np.float32)
-    weights, total = renderer.mask_weights(scene, view, masks)
-    assert weights.shape == (CHANNELS + 3, 1500)
+    masks = np.random.default_rng(0).random((CHANNELS + 3, 40, 48)) < 0.3
+    weights = renderer.weights(scene, view, masks)
+    assert weights.shape == (1500, CHANNELS + 3)
+    assert 0 < weights.nnz < weights.shape[0] * weights.shape[1]
     cpu = NumbaRenderer()
     for i in (0, CHANNELS - 1, CHANNELS, CHANNELS + 2):
-        truth = cpu.render(scene, view, mask=masks[i])
-        np.testing.assert_allclose(weights[i], truth.weight_inside, rtol=1e-3, atol=1e-3)
+        truth = cpu.render(scene, view, mask=masks[i].astype(np.float32)).weight_inside
+        np.testing.assert_allclose(weights.toarray()[:, i], truth, rtol=1e-3, atol=1e-3)
+    assert renderer.weights(scene, view, masks[:0]).shape == (1500, 0)
+
+
+def test_hidden_gaussians_are_not_there(renderer: GsplatRenderer) -> None:
+    scene, view = surface_scene(1500), corner_camera(48, 40)
+    shown = np.random.default_rng(0).random(1500) < 0.5
+    mask = soft_mask(view)
+    part = renderer.render(scene, view, BACKGROUND, mask, shown=shown)
+    alone = renderer.render(scene.subset(shown), view, BACKGROUND, mask)
+    for name in ("rgb", "alpha", "expected_depth", "median_depth"):
         np.testing.assert_allclose(
-            total, truth.weight_inside + truth.weight_outside, rtol=1e-3, atol=1e-3
+            getattr(part, name), getattr(alone, name), rtol=1e-4, atol=1e-6, err_msg=name
         )
+    np.testing.assert_allclose(part.weight_inside[shown], alone.weight_inside, rtol=1e-4, atol=1e-6)
+    assert not part.weight_inside[~shown].any()
+    (again,) = renderer.render_many(scene, [view], BACKGROUND, shown)
+    np.testing.assert_allclose(again.rgb, part.rgb, rtol=1e-4, atol=1e-6)
 
 
 def test_weights_behind_an_opaque_wall_keep_their_digits(renderer: GsplatRenderer) -> None:
@@ -217,8 +230,10 @@ def test_bad_backgrounds_and_masks_are_refused(double: GsplatDouble) -> None:
         renderer.render(scene, view, (0, 0, 2))
     with pytest.raises(InputError, match="mask has shape"):
         renderer.render(scene, view, mask=np.ones((3, 3), np.float32))
-    with pytest.raises(InputError, match="outside"):
-        renderer.mask_weights(scene, view, np.full((1, 32, 32), 2, np.float32))
+    with pytest.raises(InputError, match="masks have shape"):
+        renderer.weights(scene, view, np.ones((1, 32, 31), np.bool_))
+    with pytest.raises(InputError, match="flags of what to draw"):
+        renderer.render(scene, view, shown=np.ones(49, np.bool_))
     assert double.calls == []
 
 
