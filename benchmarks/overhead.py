@@ -1,7 +1,7 @@
 """What the workflow costs over a plain loop: ``python benchmarks/overhead.py``.
 
 Runs the same work twice, in processes of their own and in turns: as a plain loop over gvr_core
-(``plain_loop.py``), and as ``gvr run`` of a suite, with the command line, a cold Prefect server, the
+(``plain_loop.py``), and as ``gvr run`` of a suite: command line, a cold Prefect server, the
 artifact store, the result record with its pictures, and MLflow, everything in a fresh folder. Both
 have to give the same metrics. Whole processes are timed, from start to exit; the scenes are made
 before.

@@ -14,6 +14,7 @@ _START = time.perf_counter()
 
 import contextlib  # noqa: E402
 import functools  # noqa: E402
+import importlib  # noqa: E402
 import json  # noqa: E402
 import tomllib  # noqa: E402
 from collections.abc import Callable, Iterator  # noqa: E402
@@ -124,9 +125,8 @@ def flow(suite: Path, out: Path, models: str) -> None:
 
 
 def _import_all() -> None:
-    import flows.benchmark
-    import flows.cli
-    import tasks.prefect_runtime  # noqa: F401
+    for name in ("flows.benchmark", "flows.cli", "tasks.prefect_runtime"):
+        importlib.import_module(name)
 
 
 def _read(folder: Path) -> tuple[Any, dict[str, dict[str, float]]]:
