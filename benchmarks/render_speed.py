@@ -15,7 +15,8 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -33,6 +34,8 @@ from gvr_core.rendering.torch_reference import TorchReference
 
 SIZES = ((640, 480), (988, 731))
 TORCH_BAR, BLEND_BAR = 20.0, 7.0
+BLEND_COUNT = 200_000
+"""The bar of blending holds up to so many Gaussians."""
 
 
 def surface_scene(n: int, seed: int = 0) -> Gaussians:
@@ -144,10 +147,78 @@ def pairs_drawn(binned: Binned, camera: Camera) -> int:
     )
 
 
-def stage_minima(timings: list[StageSeconds]) -> StageSeconds:
-    """The least time of each stage over some renders, seconds."""
-    names = ("project", "sort", "bin", "blend")
-    return StageSeconds(*(min(getattr(timing, name) for timing in timings) for name in names))
+@dataclass(frozen=True)
+class RenderTimes:
+    """One scene drawn in one size."""
+
+    gaussians: int
+    width: int
+    height: int
+    seen: int
+    """Gaussians in the picture."""
+    stages: tuple[StageSeconds, ...]
+    """Of each picture, seconds."""
+    masked: tuple[StageSeconds, ...]
+    """Of each picture with a mask."""
+    alone: float
+    """Least processor seconds of a picture by one thread."""
+    drawn: int
+    """Pairs of Gaussian and pixel that must be blended."""
+    rate: float
+    """Pairs that the blending's arithmetic does in a second of one core."""
+    blend: float
+    """Least processor seconds of blending by one thread."""
+
+    @property
+    def ratio(self) -> float:
+        """Blending against what its arithmetic alone would take."""
+        return self.blend * self.rate / self.drawn
+
+    @property
+    def totals(self) -> list[float]:
+        """Seconds of each picture."""
+        return [timing.total for timing in self.stages]
+
+    def least(self, stage: str) -> float:
+        """The least time of a stage, seconds."""
+        return float(min(getattr(timing, stage) for timing in self.stages))
+
+
+STAGES = ("project", "sort", "bin", "blend")
+
+
+def render_times(
+    gaussians: Gaussians, size: tuple[int, int], repeats: int, threads: int | None = None
+) -> RenderTimes:
+    """Draw one scene again and again.
+
+    Args:
+        gaussians: The scene.
+        size: Width and height, pixels.
+        repeats: Pictures of each kind.
+        threads: Most threads; None for all processors.
+    """
+    renderer, single = NumbaRenderer(threads), NumbaRenderer(1)
+    width, height = size
+    camera, mask = corner_camera(width, height), np.ones((height, width), np.float32)
+    runs = range(repeats)
+    stages = tuple(renderer.render_timed(gaussians, camera)[1] for _ in runs)
+    masked = tuple(renderer.render_timed(gaussians, camera, mask=mask)[1] for _ in runs)
+    binned = renderer.project_and_bin(gaussians, camera)
+    rate, drawn = pairs_a_second(), pairs_drawn(binned, camera)
+    alone = [single.render_timed(gaussians, camera, clock=time.thread_time)[1] for _ in runs]
+    return RenderTimes(
+        gaussians=len(gaussians),
+        width=width,
+        height=height,
+        seen=int(binned.order.size),
+        stages=stages,
+        masked=masked,
+        alone=min(timing.total for timing in alone),
+        drawn=drawn,
+        rate=rate,
+        blend=min(timing.blend for timing in alone),
+    )
 
 
 def linear_fit(points: list[tuple[int, int, float]]) -> tuple[NDArray[np.float64], float]:
@@ -166,7 +237,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=None)
     parser.add_argument("--without-torch", action="store_true")
     arguments = parser.parse_args()
-    renderer, single = NumbaRenderer(arguments.threads), NumbaRenderer(1)
+    renderer = NumbaRenderer(arguments.threads)
     console = Console(width=100)
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
     first = seconds_of(lambda: renderer.render(surface_scene(100), corner_camera(64, 48)))
@@ -184,28 +255,18 @@ def main() -> None:
     points = []
     for count in arguments.counts:
         gaussians = surface_scene(count)
-        for width, height in SIZES:
-            camera, mask = corner_camera(width, height), np.ones((height, width), np.float32)
-            runs, label = range(arguments.repeats), (f"{count:,}", f"{width}x{height}")
-            plain = [renderer.render_timed(gaussians, camera)[1] for _ in runs]
-            masked = [renderer.render_timed(gaussians, camera, mask=mask)[1] for _ in runs]
-            best, total = stage_minima(plain), min(timing.total for timing in plain)
-            times = (best.project, best.sort, best.bin, best.blend, total)
-            times = (*times, min(timing.total for timing in masked))
-            binned = renderer.project_and_bin(gaussians, camera)
-            stages.add_row(*label, f"{binned.order.size:,}", *(f"{1e3 * t:.1f}" for t in times))
-
-            rate, drawn = pairs_a_second(), pairs_drawn(binned, camera)
-            alone = [
-                single.render_timed(gaussians, camera, clock=time.thread_time)[1] for _ in runs
-            ]
-            points.append((width * height, count, min(timing.total for timing in alone)))
-            blend = min(timing.blend for timing in alone)
-            ratio = blend * rate / drawn
-            verdict = " ok" if ratio <= BLEND_BAR else " above the bar"
+        for size in SIZES:
+            times = render_times(gaussians, size, arguments.repeats, arguments.threads)
+            label = (f"{count:,}", f"{times.width}x{times.height}")
+            shown = [times.least(stage) for stage in STAGES]
+            shown += [min(times.totals), min(timing.total for timing in times.masked)]
+            stages.add_row(*label, f"{times.seen:,}", *(f"{1e3 * t:.1f}" for t in shown))
+            points.append((times.width * times.height, count, times.alone))
+            verdict = " ok" if times.ratio <= BLEND_BAR else " above the bar"
             limits.add_row(
-                *(*label, f"{drawn:,}", f"{rate / 1e9:.2f}", f"{1e3 * drawn / rate:.1f}"),
-                *(f"{1e3 * blend:.1f}", f"{ratio:.1f}{verdict if count <= 200_000 else ''}"),
+                *(*label, f"{times.drawn:,}", f"{times.rate / 1e9:.2f}"),
+                *(f"{1e3 * times.drawn / times.rate:.1f}", f"{1e3 * times.blend:.1f}"),
+                f"{times.ratio:.1f}{verdict if count <= BLEND_COUNT else ''}",
             )
     console.print(stages)
     (constant, per_pixel, per_gaussian), explained = linear_fit(points)
@@ -217,19 +278,38 @@ def main() -> None:
     console.print(
         "In processor time, so that other work on the machine does not count. A pair is drawn "
         "where its alpha is 1/255 or more, before the stop. "
-        f"Bar: {BLEND_BAR:.0f}, up to 200,000 Gaussians."
+        f"Bar: {BLEND_BAR:.0f}, up to {BLEND_COUNT:,} Gaussians."
     )
     if not arguments.without_torch:
         console.print(torch_table(renderer, arguments.repeats))
 
 
-def torch_table(renderer: NumbaRenderer, repeats: int) -> Table:
-    """The CPU renderer and the torch reference in turns, 200,000 Gaussians at 640 x 480."""
+@dataclass(frozen=True)
+class TwinTimes:
+    """The CPU renderer and the torch reference on the same picture."""
+
+    ours: float
+    """Least seconds."""
+    twins: dict[str, float]
+    """Name -> least seconds, with one thread or all."""
+
+    def ratio(self, name: str) -> float:
+        """How many times as long a twin takes."""
+        return self.twins[name] / self.ours
+
+
+def twin_times(
+    renderer: NumbaRenderer, repeats: int, twins: Sequence[TorchReference] | None = None
+) -> TwinTimes:
+    """The CPU renderer and its torch twins in turns, 200,000 Gaussians at 640 x 480.
+
+    Args:
+        renderer: The CPU renderer.
+        repeats: Pictures of it for each picture of a twin.
+        twins: The references; in float32 and float64 where None.
+    """
     gaussians, camera = surface_scene(200_000), corner_camera(640, 480)
-    table = Table("renderer", title="200,000 Gaussians, 640x480: against the torch reference")
-    for name in ("ms", "ratio"):
-        table.add_column(name, justify="right")
-    twins = [TorchReference(torch.float32), TorchReference(torch.float64)]
+    twins = twins or [TorchReference(torch.float32), TorchReference(torch.float64)]
     times = {twin.name: float("inf") for twin in twins}
     ours, usual = float("inf"), torch.get_num_threads()
     for threads in (1, usual):  # torch's threads can cost more than they bring on a busy machine
@@ -240,10 +320,21 @@ def torch_table(renderer: NumbaRenderer, repeats: int) -> Table:
             for _ in range(repeats):
                 ours = min(ours, seconds_of(lambda: renderer.render(gaussians, camera)))
     torch.set_num_threads(usual)
-    table.add_row(renderer.name, f"{1e3 * ours:.1f}", "")
-    for name, seconds in times.items():
-        verdict = "ok" if seconds / ours >= TORCH_BAR else "below the bar"
-        table.add_row(name, f"{1e3 * seconds:.0f}", f"{seconds / ours:.0f}x {verdict}")
+    return TwinTimes(ours, times)
+
+
+def torch_table(renderer: NumbaRenderer, repeats: int) -> Table:
+    """The CPU renderer against the torch reference, for a terminal."""
+    found = twin_times(renderer, repeats)
+    table = Table("renderer", title="200,000 Gaussians, 640x480: against the torch reference")
+    for name in ("ms", "ratio"):
+        table.add_column(name, justify="right")
+    table.add_row(renderer.name, f"{1e3 * found.ours:.1f}", "")
+    for name, seconds in found.twins.items():
+        ratio = found.ratio(name)
+        verdict = "ok" if ratio >= TORCH_BAR else "below the bar"
+        table.add_row(name, f"{1e3 * seconds:.0f}", f"{ratio:.0f}x {verdict}")
+    usual = torch.get_num_threads()
     table.caption = f"the better of 1 and {usual} torch threads; bar: {TORCH_BAR:.0f}x"
     return table
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from tasks.prefect_runtime import PrefectRuntime, prefect_runtime
 from tasks.store import Store
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+sys.path.append(str(REPOSITORY / "benchmarks"))  # scripts, which tests import parts of
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""Rendering of Gaussians: one protocol, a CPU backend (numba), and its slow torch oracle."""
+"""Rendering of Gaussians: one protocol, a CPU and a CUDA backend, and their slow torch oracle."""
 
 from gvr_core.rendering.base import Renderer, Rendering, get_renderer
 

@@ -84,6 +84,12 @@ def _numba() -> Renderer:
     return NumbaRenderer()
 
 
+def _gsplat() -> Renderer:
+    from gvr_core.rendering.gsplat_renderer import GsplatRenderer
+
+    return GsplatRenderer()
+
+
 def _torch_reference() -> Renderer:
     from gvr_core.rendering.torch_reference import TorchReference
 
@@ -92,6 +98,7 @@ def _torch_reference() -> Renderer:
 
 _BACKENDS: dict[str, Callable[[], Renderer]] = {
     "numba": _numba,
+    "gsplat": _gsplat,
     "torch-reference": _torch_reference,
 }
 
@@ -100,10 +107,11 @@ def get_renderer(name: str) -> Renderer:
     """The renderer of that name.
 
     Args:
-        name: ``"numba"`` (CPU) or ``"torch-reference"`` (the slow oracle).
+        name: ``"numba"`` (CPU), ``"gsplat"`` (CUDA) or ``"torch-reference"`` (the slow oracle).
 
     Raises:
-        ConfigError: for a name that is not known, listing those that are.
+        ConfigError: for a name that is not known, listing those that are; for ``"gsplat"``
+            without a CUDA GPU or without the package, saying which and what to do.
     """
     if name not in _BACKENDS:
         raise unknown_name("renderer", name, _BACKENDS)
