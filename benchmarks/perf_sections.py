@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import psutil
-from growth import METHODS, WIDTH
 from growth import HEIGHT as ROOM_HEIGHT
+from growth import WIDTH
 from measuring import Bar, Spread, markdown
 from render_speed import BLEND_BAR, BLEND_COUNT, STAGES, TORCH_BAR, linear_fit
 

@@ -14,7 +14,6 @@ An object lies at ``objects/ab/<sha256><suffix>``. When is its content checked?
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -32,6 +31,7 @@ from gvr_core.atomic import file_digest, why_not_written
 from gvr_core.errors import StoreError
 from gvr_core.locks import file_lock
 from gvr_core.remote_url import is_url
+from gvr_core.untrusted import parse_json
 from tasks.arrays import ArrayWriter, Layout, StoredArrays, write_arrays
 from tasks.files import Stamp, move_into_place, storing, sync_file, temporary_name
 from tasks.records import DIGEST, Artifact, canonical_json
@@ -340,8 +340,8 @@ class ObjectStore:
             StoreError: The object is missing, damaged or not JSON.
         """
         try:
-            return json.loads(self.load_bytes(artifact))
-        except (ValueError, RecursionError) as error:
+            return parse_json(self.load_bytes(artifact))
+        except ValueError as error:
             raise StoreError(f"{artifact.kind} {artifact.path}: not JSON: {error}") from error
 
     def load_bytes(self, artifact: Artifact) -> bytes:
