@@ -15,6 +15,7 @@ from flows.datasets_cli import datasets_app
 from flows.job import EXIT_BAD_INPUT, EXIT_FAILED, Job
 from flows.models_cli import models_app
 from flows.places import results_root, store_root
+from flows.report_cli import add_report_commands
 from flows.schedule_cli import schedule
 from flows.suite import DEFAULT_SUITE
 from gvr_core.errors import GVRError, InputError
@@ -32,6 +33,7 @@ app.add_typer(cache_app, name="cache")
 app.add_typer(models_app, name="models")
 app.add_typer(datasets_app, name="datasets")
 app.command()(schedule)
+add_report_commands(app)
 
 StoreOption = Annotated[
     str | None,

@@ -7,6 +7,7 @@ A result is a folder that is written once, under a temporary name, and never ove
         rows.jsonl        one Row a line: every (scene, method, query, view, protocol)
         rows.parquet      the same rows as a table
         pictures/         the target dyed red in a test view, one per query
+        evidence/         the steps behind the answers, one file per (scene, method)
         SHA256SUMS        sha256 of each file above
 
 The order and meaning of the fields do not change without a new ``schema_version``; a field that
@@ -153,6 +154,8 @@ class SceneResult(_Record):
     attempts: int = Field(default=1, ge=0)
     """How often it was tried: more than once where a failure was retried, 0 where its scene was
     lost with another method before it began."""
+    evidence: str | None = None
+    """Path of the evidence for its answers, relative to the result's folder."""
 
     @property
     def peak_bytes(self) -> int:

@@ -165,8 +165,7 @@ def check_files(folder: Path) -> None:
     Raises:
         ResultError: for a file that is missing, or was changed after it was written.
     """
-    path = folder / SUMS_FILE
-    names = [line.partition("  ")[2] for line in _read_text(path).splitlines()]
+    names = list(read_sums(folder))
     for name in names:
         if not (folder / name).is_file():
             raise ResultError("the file is missing", path=folder / name)

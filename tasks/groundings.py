@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from gvr_core.methods import Grounding
 from gvr_core.models.base import Frame
 from gvr_core.segment import VirtualView
 from gvr_core.untrusted import parse_json
+from reports.evidence import thumbnail_size, to_webp
 
 BEV, RING = 0, 1
 """Roles of virtual views in the evidence."""
@@ -87,8 +88,13 @@ def unpack_localization(data: Mapping[str, Any] | None) -> Localization | None:
     )
 
 
+def small_pictures(grounding: Grounding) -> list[bytes]:
+    """The pictures of a grounding's virtual views in small, as WebP; the bird's-eye view first."""
+    return [to_webp(view.frame.rgb) for _, view in _virtual_views(grounding)]
+
+
 def without_pictures(grounding: Grounding) -> Grounding:
-    """A grounding whose virtual views keep their cameras and masks alone: all that is put away.
+    """A grounding whose virtual views keep their cameras and masks alone.
 
     The pictures of one query's views take a hundred megabytes.
     """
@@ -101,7 +107,9 @@ def _blank(view: VirtualView) -> VirtualView:
     return replace(view, frame=Frame(nothing[..., None], nothing, view.frame.camera))
 
 
-def pack_groundings(groundings: Sequence[Grounding], n: int) -> dict[str, NDArray[Any]]:
+def pack_groundings(
+    groundings: Sequence[Grounding], n: int, pictures: Sequence[Sequence[bytes]] | None = None
+) -> dict[str, NDArray[Any]]:
     """The groundings of all queries of a scene as named arrays.
 
     Flags are packed eight to a byte. Scores are kept only where they say more than the flags.
@@ -109,6 +117,7 @@ def pack_groundings(groundings: Sequence[Grounding], n: int) -> dict[str, NDArra
     Args:
         groundings: One for each query.
         n: N, the number of Gaussians.
+        pictures: What :func:`small_pictures` gave for each, where they have lost their own.
     """
     flags = np.array([g.flags for g in groundings], np.bool_).reshape(-1, n)
     scores = np.array([g.scores for g in groundings], np.float32).reshape(-1, n)
@@ -126,7 +135,9 @@ def pack_groundings(groundings: Sequence[Grounding], n: int) -> dict[str, NDArra
         arrays["scores"] = scores
     if not all(g.answered for g in groundings):
         arrays["answered"] = np.array([g.answered for g in groundings], np.bool_)
-    return arrays | _pack_given(groundings) | _pack_evidence(groundings)
+    if pictures is None:
+        pictures = [small_pictures(grounding) for grounding in groundings]
+    return arrays | _pack_given(groundings) | _pack_evidence(groundings, pictures)
 
 
 def unpack_answers(arrays: Mapping[str, NDArray[Any]]) -> list[Answer]:
@@ -192,16 +203,62 @@ def _unpack_given(arrays: Mapping[str, NDArray[Any]]) -> dict[int, dict[str, NDA
     return pictures
 
 
-def _pack_evidence(groundings: Sequence[Grounding]) -> dict[str, NDArray[Any]]:
-    """Cameras and masks of the virtual views; their pictures can be rendered again."""
+@dataclass(frozen=True, eq=False)
+class VirtualEvidence:
+    """What is kept of a virtual view."""
+
+    query: int
+    """Index of its query."""
+    role: int
+    """:data:`BEV` or :data:`RING`."""
+    webp: bytes
+    """Its picture in small."""
+    size: tuple[int, int]
+    """Width and height of the small picture, pixels."""
+    mask: NDArray[np.bool_] | None
+    """(H, W) what the model cut from the picture at its full size; None where it found nothing."""
+
+
+def unpack_virtual(arrays: Mapping[str, NDArray[Any]]) -> list[VirtualEvidence]:
+    """The virtual views that :func:`pack_groundings` put away, in the order of the queries."""
+    masks = PatchBook.from_arrays(
+        {field.name: arrays[f"evidence.{field.name}"] for field in fields(PatchBook)}
+    )
+    ends = arrays["evidence.picture_ptr"]
+    views = []
+    for i, (query, role) in enumerate(
+        zip(arrays["evidence.query"], arrays["evidence.role"], strict=True)
+    ):
+        height, width = (int(side) for side in masks.sizes[i])
+        cut = masks.masks_of(i)
+        views.append(
+            VirtualEvidence(
+                int(query),
+                int(role),
+                arrays["evidence.pictures"][ends[i] : ends[i + 1]].tobytes(),
+                thumbnail_size(width, height),
+                cut[0].pixels if cut else None,
+            )
+        )
+    return views
+
+
+def _virtual_views(grounding: Grounding) -> list[tuple[int, VirtualView]]:
+    """Role and view of each."""
+    bev = [] if grounding.bev is None else [(BEV, grounding.bev)]
+    return [*bev, *((RING, view) for view in grounding.ring)]
+
+
+def _pack_evidence(
+    groundings: Sequence[Grounding], pictures: Sequence[Sequence[bytes]]
+) -> dict[str, NDArray[Any]]:
+    """Cameras, masks and small pictures of the virtual views."""
     views = [
         (query, role, view)
         for query, grounding in enumerate(groundings)
-        for role, view in [
-            *([(BEV, grounding.bev)] if grounding.bev else []),
-            *((RING, view) for view in grounding.ring),
-        ]
+        for role, view in _virtual_views(grounding)
     ]
+    packed = [picture for of_query in pictures for picture in of_query]
     masks = PatchBook.of_masks(
         [[view.mask] if view.mask else [] for _, _, view in views],
         [(view.frame.camera.height, view.frame.camera.width) for _, _, view in views],
@@ -214,5 +271,7 @@ def _pack_evidence(groundings: Sequence[Grounding]) -> dict[str, NDArray[Any]]:
         "evidence.world_to_camera": np.array(
             [camera.world_to_camera for camera in cameras], np.float64
         ).reshape(-1, 4, 4),
+        "evidence.pictures": np.frombuffer(b"".join(packed), np.uint8),
+        "evidence.picture_ptr": np.cumsum([0, *map(len, packed)], dtype=np.int64),
         **{f"evidence.{name}": array for name, array in masks.to_arrays().items()},
     }

@@ -33,9 +33,11 @@ from gvr_core.scene import Query
 from tasks.arrays import StoredArrays
 from tasks.drawing import draw_query
 from tasks.evaluation import score_scene
+from tasks.evidence import gather_evidence
 from tasks.groundings import (
     pack_groundings,
     pack_localization,
+    small_pictures,
     unpack_answers,
     unpack_localization,
     without_pictures,
@@ -68,6 +70,8 @@ class SceneJob:
     method: MethodConfig
     tools: Toolbox
     track: Track = field(default=_untracked)
+    evidence: bool = False
+    """Whether the steps behind each answer are kept as small pictures."""
 
     @property
     def label(self) -> str:
@@ -99,6 +103,7 @@ class SceneJob:
             **names,
             "calibration": calibration_of(names["encoder"]).model_dump(mode="json"),
             "protocols": list(self.data.protocols),
+            "evidence": self.evidence,
         }
 
     def digests(self) -> dict[str, str]:
@@ -214,20 +219,21 @@ def compute_segment(store: Store, inputs: Inputs, config: Config, job: SceneJob)
     opened = OpenBooks(store, inputs)
     books = opened.all
     places = store.load_json(inputs["query"]["localizations"])
-    groundings, seconds = [], {}
+    groundings, pictures, seconds = [], [], {}
     for query in opened.let_go_after_each(job.track(job.queries, "segment")):
         start = time.perf_counter()
         place = unpack_localization(places[query.id])
         grounding = method.segment(job.data.scene, books, place, query)
         seconds[query.id] = grounding.seconds | {"segment": time.perf_counter() - start}
+        pictures.append(small_pictures(grounding))
         groundings.append(without_pictures(grounding))
-    arrays = pack_groundings(groundings, len(job.data.scene.gaussians))
+    arrays = pack_groundings(groundings, len(job.data.scene.gaussians), pictures)
     artifact = store.put_arrays("groundings", arrays)
     return StageOutput({"groundings": artifact}, {"seconds": seconds})
 
 
 def compute_evaluate(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
-    """Score every query, and draw it."""
+    """Score every query, draw it, and gather the evidence for it."""
     answers = unpack_answers(store.load_arrays(inputs["segment"]["groundings"]))
     scores = score_scene(job.data, job.queries, answers, job.tools.renderer)
     artifacts = {"rows": store.put_json("rows", scores.rows)}
@@ -235,6 +241,20 @@ def compute_evaluate(store: Store, inputs: Inputs, config: Config, job: SceneJob
         own = [row for row in scores.rows if row["query"] == query.id]
         picture = draw_query(job.data, query, answer, own, job.tools.renderer)
         artifacts[f"picture.{query.id}"] = store.put_bytes("picture", picture, ".png")
+    if config["evidence"]:
+        has_books = inputs["render"] != NO_BOOKS
+        opened = OpenBooks(store, inputs)
+        evidence = gather_evidence(
+            job.data,
+            job.queries,
+            store.load_arrays(inputs["segment"]["groundings"]),
+            store.load_json(inputs["query"]["localizations"]),
+            opened.views if has_books else None,
+            opened.patches if has_books else None,
+            job.tools.renderer,
+        )
+        content = evidence.model_dump_json().encode()
+        artifacts["evidence"] = store.put_bytes("evidence", content, ".json")
     left_out = {"unlabelled": scores.unlabelled, "left_out": scores.left_out}
     return StageOutput(artifacts, left_out)
 
@@ -276,7 +296,7 @@ STAGES = (
     PlannedStage(
         Stage(
             "segment",
-            3,
+            4,
             compute_segment,
             (
                 "method",
@@ -292,8 +312,8 @@ STAGES = (
         ("gaussians", "views", "texts", "render", "depth", "masks", "encode", "index", "query"),
     ),
     PlannedStage(
-        Stage("evaluate", 3, compute_evaluate, ("renderer", "protocols")),
-        ("gaussians", "views", "queries", "truth", "segment"),
+        Stage("evaluate", 4, compute_evaluate, ("renderer", "protocols", "evidence")),
+        ("gaussians", "views", "queries", "truth", "render", "masks", "query", "segment"),
     ),
 )
 """The stages, in the order in which they run."""
