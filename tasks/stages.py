@@ -269,11 +269,24 @@ PREPARATION = ("render", "depth", "masks", "encode", "index")
 """Stages before any query: the paper's preparation time."""
 
 
-def run_stages(job: SceneJob) -> dict[str, StageRun]:
-    """Run every stage of a job, or find its result in the store.
+def prepared_books(job: SceneJob) -> Books:
+    """Run the stages before any query, or find their results in the store.
+
+    Args:
+        job: One method on one scene; its queries play no part.
+
+    Returns:
+        What the preparation knows of the scene.
+    """
+    return _books(job.store, run_stages(job, PREPARATION))
+
+
+def run_stages(job: SceneJob, wanted: Sequence[str] | None = None) -> dict[str, StageRun]:
+    """Run the stages of a job, or find their results in the store.
 
     Args:
         job: One method on one scene.
+        wanted: Names of stages, with all that they build on; None for all stages.
 
     Returns:
         Stage name -> how it ended; without the preparation's stages for methods that need no
@@ -283,6 +296,8 @@ def run_stages(job: SceneJob) -> dict[str, StageRun]:
     config = job.config()
     runs: dict[str, StageRun] = {}
     for planned in STAGES:
+        if wanted is not None and planned.stage.name not in wanted:
+            continue
         if planned.stage.name in PREPARATION and not job.method.needs_books:
             known[planned.stage.name] = NO_BOOKS
             continue
