@@ -84,7 +84,8 @@ class Viewer:
 
     def _build_page(self) -> None:
         gui, scene = self._server.gui, self._session.data.scene
-        gui.configure_theme(control_layout="collapsible", show_logo=False, show_share_button=False)
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
         name = html.escape(f"{scene.dataset}/{scene.name}")
         gui.add_html(
             f'<div style="padding:0.5em 1em 0"><b>{name}</b><br>{len(scene.gaussians):,} Gaussians'
@@ -132,7 +133,7 @@ class Viewer:
             except GVRError as error:
                 self._say(html.escape(str(error).replace(f"{path}: ", "")), alert=True)
                 return
-            client.send_file_download(f"{kind}.ply", path.read_bytes())
+            client.send_file_download(f"{kind}.ply", path.read_bytes(), save_immediately=True)
 
 
 def _answer(asked: Asked) -> str:
