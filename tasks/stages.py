@@ -309,6 +309,34 @@ def run_stages(job: SceneJob, wanted: Sequence[str] | None = None) -> dict[str, 
     return runs
 
 
+def planned_stages(job: SceneJob) -> dict[str, bool]:
+    """Which stages of a job are in the store; nothing is computed.
+
+    Args:
+        job: One method on one scene.
+
+    Returns:
+        Stage name -> whether its result is there. What builds on a stage that is not there has
+        no key yet, and is not there either.
+    """
+    known: dict[str, Any] = job.digests()
+    config = job.config()
+    found: dict[str, bool] = {}
+    for planned in STAGES:
+        name = planned.stage.name
+        if name in PREPARATION and not job.method.needs_books:
+            known[name] = NO_BOOKS
+            continue
+        inputs = {part: known.get(part) for part in planned.inputs}
+        record = None
+        if None not in inputs.values():
+            record = job.store.lookup(name, planned.stage.key(inputs, config))
+        found[name] = record is not None
+        if record is not None:
+            known[name] = record
+    return found
+
+
 def _view_book(store: Store, inputs: Inputs) -> ViewBook:
     return ViewBook.from_arrays(store.load_arrays(inputs["render"]["views"]))
 
