@@ -18,6 +18,7 @@ from flows.places import results_root, store_root
 from flows.report_cli import add_report_commands
 from flows.schedule_cli import schedule
 from flows.suite import DEFAULT_SUITE
+from flows.view_cli import view
 from gvr_core.errors import GVRError, InputError
 from gvr_core.methods import METHODS
 
@@ -34,6 +35,7 @@ app.add_typer(models_app, name="models")
 app.add_typer(datasets_app, name="datasets")
 app.command()(schedule)
 add_report_commands(app)
+app.command()(view)
 
 StoreOption = Annotated[
     str | None,

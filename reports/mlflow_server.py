@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ipaddress
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -16,7 +14,8 @@ from types import FrameType, TracebackType
 from urllib.error import URLError
 from urllib.request import ProxyHandler, build_opener
 
-from gvr_core.errors import ConfigError, GVRError
+from gvr_core.errors import GVRError
+from reports.addresses import check_address, free_port
 from reports.mlflow_store import LocalStore, create_store, local_store, quiet_environment
 
 START_SECONDS = 120.0
@@ -133,9 +132,8 @@ def start_server(
         ServerError: if the server ends or stays silent; with the end of what it wrote.
     """
     store = local_store() if store is None else store
-    if not exposed:
-        _check_loopback(host)
-    port = _free_port(host, port)
+    check_address(host, exposed)
+    port = free_port(host, port)
     create_store(store.database)
     log = store.folder.resolve() / "server.log"
     # Artifacts are read and written as files, not through the server: the same runs can then be
@@ -167,37 +165,6 @@ def start_server(
         server.stop()
         raise
     return server
-
-
-def _check_loopback(host: str) -> None:
-    try:
-        loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        loopback = False
-    if not loopback:
-        raise ConfigError(
-            f"the address {host!r} can be reached from other machines, and MLflow has no password",
-            accepted="127.0.0.1, ::1 or localhost, reached from elsewhere through an SSH tunnel; "
-            "or any address with --exposed, where all who reach it are trusted",
-        )
-
-
-def _free_port(host: str, port: int) -> int:
-    """The port, or any free one for 0; refused while it is still easy to say why."""
-    if not 0 <= port <= 65535:
-        raise ConfigError(f"the port {port}", accepted="0 to 65535, where 0 takes any free one")
-    family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    with socket.socket(family, kind, protocol) as probe:
-        # As the server does; connections that are still closing then do not count as taken.
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(address)
-        except OSError as error:
-            raise ConfigError(
-                f"the port {port} of {host} cannot be used: {error.strerror}",
-                accepted="a free port, or 0 for any free one",
-            ) from error
-        return int(probe.getsockname()[1])
 
 
 def _await_answer(server: MlflowServer, seconds: float) -> None:

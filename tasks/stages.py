@@ -19,7 +19,7 @@ import hashlib
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +43,11 @@ from tasks.groundings import (
     without_pictures,
 )
 from tasks.open_books import NO_BOOKS, OpenBooks
+from tasks.records import StageRecord
 from tasks.stage import Stage, StageRun, run_stage
 from tasks.store import StageOutput, Store, canonical_json
+
+T = TypeVar("T")
 
 Track = Callable[[Iterable[Any], str], Iterable[Any]]
 """Wraps a loop, e.g. in a progress bar; the text says what is being done."""
@@ -333,21 +336,62 @@ def run_stages(job: SceneJob, last: str = STAGES[-1].stage.name) -> dict[str, St
         Stage name -> how it ended; without the preparation's stages for methods that need no
         books.
     """
-    known: dict[str, Any] = job.digests()
     config = job.config()
-    runs: dict[str, StageRun] = {}
+
+    def run(stage: Stage, inputs: Inputs) -> StageRun:
+        return run_stage(stage, job.store, inputs, config, label=job.label, runtime={"job": job})
+
+    return _through_stages(job, run, last)
+
+
+def stages_in_store(job: SceneJob) -> dict[str, bool]:
+    """Which stages of a job are in the store; nothing is computed.
+
+    Args:
+        job: One method on one scene.
+
+    Returns:
+        Stage name -> whether its result is there. What builds on a stage that is not there has
+        no key yet, and is not there either.
+    """
+    config = job.config()
+
+    def look_up(stage: Stage, inputs: Inputs) -> StageRecord | None:
+        if None in inputs.values():
+            return None
+        return job.store.lookup(stage.name, stage.key(inputs, config))
+
+    found = _through_stages(job, look_up, STAGES[-1].stage.name)
+    return {name: record is not None for name, record in found.items()}
+
+
+def prepared_books(job: SceneJob) -> Books:
+    """Run the stages before any query, or find their results in the store.
+
+    Args:
+        job: One method on one scene, of a method that needs books; its queries play no part.
+
+    Returns:
+        What the preparation knows of the scene.
+    """
+    return OpenBooks(job.store, run_stages(job, PREPARATION[-1])).all
+
+
+def _through_stages(job: SceneJob, step: Callable[[Stage, Inputs], T], last: str) -> dict[str, T]:
+    """What a step gives for each stage in turn, whose inputs are what it gave for others."""
+    known: dict[str, Any] = job.digests()
+    given: dict[str, T] = {}
     for planned in STAGES:
-        if planned.stage.name in PREPARATION and not job.method.needs_books:
-            known[planned.stage.name] = NO_BOOKS
+        name = planned.stage.name
+        if name in PREPARATION and not job.method.needs_books:
+            known[name] = NO_BOOKS
             continue
-        inputs = {name: known[name] for name in planned.inputs}
-        run = run_stage(
-            planned.stage, job.store, inputs, config, label=job.label, runtime={"job": job}
+        known[name] = given[name] = step(
+            planned.stage, {part: known[part] for part in planned.inputs}
         )
-        known[planned.stage.name] = runs[planned.stage.name] = run
-        if planned.stage.name == last:
+        if name == last:
             break
-    return runs
+    return given
 
 
 def _n_pixels(sizes: NDArray[np.int32]) -> int:
