@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from datasets.base import SceneData
 from gvr_core import preparation
+from gvr_core.books import Books
 from gvr_core.errors import StoreError
 from gvr_core.methods import MethodConfig, Toolbox, build_method
 from gvr_core.robust.calibration import calibration_of
