@@ -7,8 +7,10 @@ ragged: one long array, and where each view's part begins.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -45,7 +47,29 @@ class _Book:
 
 
 @dataclass(frozen=True, eq=False)
-class ViewBook(_Book):
+class _PixelBook(_Book):
+    """A book of pictures: what its arrays say of all pixels, one view after the other."""
+
+    def __len__(self) -> int:
+        return len(self._sizes)
+
+    @cached_property
+    def _sizes(self) -> list[tuple[int, int]]:
+        return [(int(height), int(width)) for height, width in self.sizes]  # type: ignore[attr-defined]
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        """Where each view's pixels begin, and where the last one's end."""
+        return [0, *itertools.accumulate(height * width for height, width in self._sizes)]
+
+    def _of_view(self, pixels: NDArray[Any], i: int) -> NDArray[Any]:
+        """View i's part (H, W, ...) of an array (P, ...)."""
+        part = pixels[self._starts[i] : self._starts[i + 1]]
+        return part.reshape(*self._sizes[i], *pixels.shape[1:])
+
+
+@dataclass(frozen=True, eq=False)
+class ViewBook(_PixelBook):
     """The n rendered views, as colour pictures."""
 
     values: NDArray[np.uint8]
@@ -55,20 +79,17 @@ class ViewBook(_Book):
     sizes: NDArray[np.int32]
     """(n, 2) height and width of each view, pixels."""
 
-    def __len__(self) -> int:
-        return len(self.sizes)
-
     def rgb(self, i: int) -> NDArray[np.uint8]:
         """Picture (H, W, 3) of view i."""
-        return self.values[_span(self.sizes, i)].reshape(*self.sizes[i], 3)
+        return self._of_view(self.values, i)
 
     def alpha(self, i: int) -> NDArray[np.uint8]:
         """Opacity (H, W) of view i."""
-        return self.alphas[_span(self.sizes, i)].reshape(*self.sizes[i])
+        return self._of_view(self.alphas, i)
 
 
 @dataclass(frozen=True, eq=False)
-class DepthBook(_Book):
+class DepthBook(_PixelBook):
     """B_d: the z-depth of every view, expected and median."""
 
     expected: NDArray[np.float32]
@@ -79,13 +100,9 @@ class DepthBook(_Book):
     sizes: NDArray[np.int32]
     """(n, 2) height and width of each view, pixels."""
 
-    def __len__(self) -> int:
-        return len(self.sizes)
-
     def depth(self, i: int, kind: str = "expected") -> NDArray[np.float32]:
         """Depth (H, W) of view i; ``kind`` is ``"expected"`` or ``"median"``."""
-        values = self.expected if kind == "expected" else self.median
-        return values[_span(self.sizes, i)].reshape(*self.sizes[i])
+        return self._of_view(self.expected if kind == "expected" else self.median, i)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,24 +153,28 @@ class PatchBook(_Book):
         ]
 
     @classmethod
-    def of_masks(cls, masks: Sequence[Sequence[Mask]], sizes: Sequence[tuple[int, int]]) -> Self:
+    def of_masks(cls, masks: Iterable[Iterable[Mask]], sizes: Sequence[tuple[int, int]]) -> Self:
         """The book of the masks of every view.
 
         Args:
-            masks: For each view its masks; empty masks are left out.
+            masks: For each view its masks; empty masks are left out. Each view's are taken when
+                the one's before are packed, so that they need not all be in memory at once.
             sizes: For each view its height and width.
         """
-        kept = [[mask for mask in view if mask.area > 0] for view in masks]
-        flat = [mask for view in kept for mask in view]
-        runs = [encode_rle(mask.pixels) for mask in flat]
+        counts, packed = [], []
+        for view in masks:
+            kept = [_packed(mask, area) for mask in view if (area := mask.area) > 0]
+            counts.append(len(kept))
+            packed += kept
+        runs, boxes, areas, levels, scores = zip(*packed, strict=True) if packed else [()] * 5
         return cls(
-            view_ptr=np.cumsum([0, *(len(view) for view in kept)], dtype=np.int64),
+            view_ptr=np.cumsum([0, *counts], dtype=np.int64),
             rle=np.frombuffer(b"".join(runs), dtype=np.uint8),
             rle_ptr=np.cumsum([0, *(len(run) for run in runs)], dtype=np.int64),
-            boxes=np.array([mask.box for mask in flat], dtype=np.int32).reshape(-1, 4),
-            areas=np.array([mask.area for mask in flat], dtype=np.int32),
-            levels=np.array([mask.level for mask in flat], dtype=np.int16),
-            scores=np.array([mask.score for mask in flat], dtype=np.float32),
+            boxes=np.array(boxes, dtype=np.int32).reshape(-1, 4),
+            areas=np.array(areas, dtype=np.int32),
+            levels=np.array(levels, dtype=np.int16),
+            scores=np.array(scores, dtype=np.float32),
             sizes=np.array(sizes, dtype=np.int32).reshape(-1, 2),
         )
 
@@ -162,10 +183,15 @@ class PatchBook(_Book):
 class SemanticVectorBook:
     """B_s: the semantic vector of every patch of every view."""
 
-    features: NDArray[np.float32]
-    """(M, c) unit vectors."""
+    features: NDArray[np.float16] | NDArray[np.float32]
+    """(M, c) unit vectors, as kept: in half precision where preparation has made them."""
     patches: PatchBook
     """The M patches, in the same order."""
+
+    @cached_property
+    def vectors(self) -> NDArray[np.float32]:
+        """(M, c) the unit vectors to compute with, in single precision."""
+        return self.features.astype(np.float32, copy=False)
 
     def __post_init__(self) -> None:
         if self.features.ndim != 2 or len(self.features) != len(self.patches):
@@ -216,7 +242,6 @@ def encode_rle(pixels: NDArray[np.bool_]) -> bytes:
     return counts
 
 
-def _span(sizes: NDArray[np.int32], i: int) -> slice:
-    ends = np.cumsum(sizes[:, 0].astype(np.int64) * sizes[:, 1])
-    start = 0 if i == 0 else int(ends[i - 1])
-    return slice(start, int(ends[i]))
+def _packed(mask: Mask, area: int) -> tuple[bytes, tuple[int, int, int, int], int, int, float]:
+    """Run lengths, box, area, level and score of a mask."""
+    return encode_rle(mask.pixels), mask.box, area, mask.level, mask.score

@@ -141,7 +141,7 @@ def retrieve(
         top_k: Keep only so many views, those with the most similar patches; None keeps all.
         depth_kind: ``"expected"`` (the paper's) or ``"median"``.
     """
-    scores = relevancy(book.features, text)
+    scores = relevancy(book.vectors, text)
     chosen_views, chosen = best_patches(scores, book.patches.view_ptr)
     if top_k is not None and len(chosen) > top_k:
         order = np.sort(np.argsort(-scores[chosen], kind="stable")[:top_k])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from gvr_core.books import PatchBook
 from gvr_core.localize import Localization, Place, Retrieval
 from gvr_core.methods import Grounding
+from gvr_core.models.base import Frame
+from gvr_core.segment import VirtualView
 
 BEV, RING = 0, 1
 """Roles of virtual views in the evidence."""
@@ -81,6 +83,20 @@ def unpack_localization(data: Mapping[str, Any] | None) -> Localization | None:
         data["confidence"],
         data["is_stuff"],
     )
+
+
+def without_pictures(grounding: Grounding) -> Grounding:
+    """A grounding whose virtual views keep their cameras and masks alone: all that is put away.
+
+    The pictures of one query's views take a hundred megabytes.
+    """
+    bev = None if grounding.bev is None else _blank(grounding.bev)
+    return replace(grounding, bev=bev, ring=[_blank(view) for view in grounding.ring])
+
+
+def _blank(view: VirtualView) -> VirtualView:
+    nothing = np.empty((0, 0), np.float32)
+    return replace(view, frame=Frame(nothing[..., None], nothing, view.frame.camera))
 
 
 def pack_groundings(groundings: Sequence[Grounding], n: int) -> dict[str, NDArray[Any]]:

@@ -19,17 +19,19 @@ import os
 import re
 import shutil
 import stat
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue, ValidationError
 
 from gvr_core.atomic import file_digest
 from gvr_core.errors import StoreError
 from gvr_core.locks import file_lock
-from tasks.arrays import StoredArrays, write_arrays
+from tasks.arrays import ArrayWriter, Layout, StoredArrays, write_arrays
 from tasks.files import Stamp, move_into_place, sync_file, temporary_name
 from tasks.records import DIGEST, Artifact, canonical_json
 
@@ -37,6 +39,25 @@ DEFAULT_ROOT = Path(".gvr/store")
 
 _SUFFIX = re.compile(r"(\.[a-z0-9]{1,16}){0,2}")
 _OBJECT = re.compile(rf"objects/([0-9a-f]{{2}})/({DIGEST.pattern})({_SUFFIX.pattern})")
+
+
+class NewArrays:
+    """Arrays on their way into the store; see `ObjectStore.new_arrays`."""
+
+    def __init__(self, writer: ArrayWriter) -> None:
+        self.append = writer.append
+        self._artifact: Artifact | None = None
+
+    @property
+    def artifact(self) -> Artifact:
+        """The handle, once the arrays are in the store.
+
+        Raises:
+            StoreError: They are not yet.
+        """
+        if self._artifact is None:
+            raise StoreError("these arrays are still being written")
+        return self._artifact
 
 
 class ObjectStore:
@@ -81,6 +102,33 @@ class ObjectStore:
         try:
             write_arrays(temporary, arrays, meta or {})
             return self._adopt(temporary, kind, ".safetensors", meta)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    @contextmanager
+    def new_arrays(
+        self, kind: str, layout: Layout, meta: Mapping[str, Any] | None = None
+    ) -> Iterator[NewArrays]:
+        """Store named arrays piece by piece, with no more than a piece in memory.
+
+        The artifact is the one that `put_arrays` gives for the same arrays. It is there when the
+        block ends; a block that raises leaves nothing.
+
+        Args:
+            kind: What they are.
+            layout: dtype and shape of every array.
+            meta: JSON values; kept in the file as well as in the handle.
+
+        Raises:
+            StoreError: A name, dtype or meta value that cannot be stored, or an array that was
+                not written to its end.
+        """
+        temporary = temporary_name(self.temporary, ".safetensors")
+        try:
+            with ArrayWriter(temporary, layout, meta or {}) as writer:
+                new = NewArrays(writer)
+                yield new
+            new._artifact = self._adopt(temporary, kind, ".safetensors", meta)
         finally:
             temporary.unlink(missing_ok=True)
 
@@ -240,7 +288,7 @@ class ObjectStore:
     def load_arrays(
         self, artifact: Artifact, names: Iterable[str] | None = None
     ) -> dict[str, NDArray[Any]]:
-        """Read named arrays.
+        """Read named arrays into memory.
 
         Args:
             artifact: What `put_arrays` returned.
@@ -256,10 +304,10 @@ class ObjectStore:
             raise StoreError(
                 f"{artifact.kind} has no array {unknown[0]!r} (accepted: {', '.join(stored)})"
             )
-        return {name: stored[name] for name in wanted}
+        return {name: np.array(stored[name]) for name in wanted}
 
     def open_arrays(self, artifact: Artifact) -> StoredArrays:
-        """Named arrays as a mapping that reads each when it is asked for.
+        """Named arrays by memory map, read only: what is not touched is not read.
 
         Raises:
             StoreError: The object is missing, damaged or not of arrays.

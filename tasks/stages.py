@@ -2,8 +2,11 @@
 
 ::
 
-    render ─┬─> masks ──> encode ──> index ──> query ──> segment ──> evaluate
-    depth ──┘             (query and segment see all the books)
+    render ──> depth ──> masks ──> encode ──> index ──> query ──> segment ──> evaluate
+                         (query and segment see all the books)
+
+One rendering pass makes both the View Book and the Depth Book; ``depth`` hands the latter on. Books
+are written view by view and read by memory map, so that no stage holds all views at once.
 
 A stage's key is its name and version, the digests of its inputs, and its own slice of the
 configuration; :data:`STAGES` shows all of them at a glance. Changing the queries leaves the first
@@ -18,12 +21,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from datasets.base import SceneData
 from gvr_core import preparation
-from gvr_core.books import Books, DepthBook, PatchBook, SemanticVectorBook, ViewBook
+from gvr_core.errors import StoreError
 from gvr_core.methods import MethodConfig, Toolbox, build_method
 from gvr_core.robust.calibration import calibration_of
 from gvr_core.scene import Query
+from tasks.arrays import StoredArrays
 from tasks.drawing import draw_query
 from tasks.evaluation import score_scene
 from tasks.groundings import (
@@ -31,7 +38,9 @@ from tasks.groundings import (
     pack_localization,
     unpack_answers,
     unpack_localization,
+    without_pictures,
 )
+from tasks.open_books import NO_BOOKS, OpenBooks
 from tasks.stage import Stage, StageRun, run_stage
 from tasks.store import StageOutput, Store, canonical_json
 
@@ -100,40 +109,64 @@ class SceneJob:
 
 
 def compute_render(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
-    """Render every knowledge view."""
+    """Render every knowledge view once: the View Book, and the Depth Book for the next stage."""
     scene = job.data.scene
-    book = preparation.render_views(
+    sizes = preparation.view_sizes(scene.views)
+    pixels = _n_pixels(sizes)
+    pictures = preparation.render_each(
         scene.gaussians,
         scene.views,
         job.tools.renderer,
         job.method.background,
         lambda views: job.track(views, "render"),
     )
-    artifact = store.put_arrays("view_book", book.to_arrays())
-    return StageOutput({"views": artifact}, {"n_views": len(book)})
+    view_layout = {"values": ("u1", (pixels, 3)), "alphas": ("u1", (pixels,))}
+    depth_layout = {"expected": ("f4", (pixels,)), "median": ("f4", (pixels,))}
+    of_sizes = {"sizes": ("i4", sizes.shape)}
+    with (
+        store.new_arrays("view_book", view_layout | of_sizes) as views,
+        store.new_arrays("depth_book", depth_layout | of_sizes) as depths,
+    ):
+        views.append("sizes", sizes)
+        depths.append("sizes", sizes)
+        for picture in pictures:
+            views.append("values", picture.values)
+            views.append("alphas", picture.alphas)
+            depths.append("expected", picture.expected)
+            depths.append("median", picture.median)
+    artifacts = {"views": views.artifact, "depths": depths.artifact}
+    return StageOutput(artifacts, {"n_views": len(sizes)})
 
 
 def compute_depth(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
-    """Render every knowledge view's depth: the Depth Book."""
-    scene = job.data.scene
-    book = preparation.render_depths(
-        scene.gaussians,
-        scene.views,
-        job.tools.renderer,
-        lambda views: job.track(views, "depth"),
-    )
-    artifact = store.put_arrays("depth_book", book.to_arrays())
-    return StageOutput({"depths": artifact}, {"n_views": len(book)})
+    """The Depth Book: what the render stage has drawn of it, if it is one of these views.
+
+    Raises:
+        StoreError: It is not.
+    """
+    artifact = inputs["render"]["depths"]
+    sizes = preparation.view_sizes(job.data.scene.views)
+    pixels = _n_pixels(sizes)
+    # Of its content, that the render stage or its look-up has just checked, the header is read.
+    book = StoredArrays(store.locate(artifact))
+    found = {name: book.shape(name) for name in book}
+    expected = {"expected": (pixels,), "median": (pixels,), "sizes": sizes.shape}
+    if found != expected or not np.array_equal(book["sizes"], sizes):
+        raise StoreError(
+            f"depth book {artifact.path} holds {found} (accepted: {expected}, the cameras' sizes)"
+        )
+    return StageOutput({"depths": artifact}, {"n_views": len(sizes)})
 
 
 def compute_masks(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Cut every view into patches."""
+    opened = OpenBooks(store, inputs)
     book = preparation.segment_views(
-        _view_book(store, inputs),
-        _depth_book(store, inputs),
+        opened.views,
+        opened.depths,
         job.data.scene.views,
         job.tools.models.segmenter,
-        lambda views: job.track(views, "masks"),
+        lambda views: opened.let_go_after_each(job.track(views, "masks")),
     )
     artifact = store.put_arrays("patch_book", book.to_arrays())
     return StageOutput({"patches": artifact}, {"n_patches": len(book)})
@@ -141,13 +174,14 @@ def compute_masks(store: Store, inputs: Inputs, config: Config, job: SceneJob) -
 
 def compute_encode(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Encode every patch: the Semantic Vector Book."""
+    opened = OpenBooks(store, inputs)
     book = preparation.encode_patches(
-        _view_book(store, inputs),
-        _depth_book(store, inputs),
+        opened.views,
+        opened.depths,
         job.data.scene.views,
-        _patch_book(store, inputs),
+        opened.patches,
         job.tools.models.encoder,
-        lambda views: job.track(views, "encode"),
+        lambda views: opened.let_go_after_each(job.track(views, "encode")),
     )
     artifact = store.put_arrays("semantic_vectors", {"features": book.features})
     return StageOutput({"features": artifact}, {"c": int(book.features.shape[1])})
@@ -156,16 +190,17 @@ def compute_encode(store: Store, inputs: Inputs, config: Config, job: SceneJob) 
 def compute_index(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """The method's own part of the preparation; the paper's has none."""
     method = build_method(job.method, job.tools)
-    arrays = method.index(job.data.scene, _books(store, inputs))
+    arrays = method.index(job.data.scene, OpenBooks(store, inputs).all)
     return StageOutput({"index": store.put_arrays("index", arrays)}, {"arrays": sorted(arrays)})
 
 
 def compute_query(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """RFL: localise every query."""
     method = build_method(job.method, job.tools)
-    books = _books(store, inputs)
+    opened = OpenBooks(store, inputs)
+    books = opened.all
     places, seconds = {}, {}
-    for query in job.track(job.queries, "query"):
+    for query in opened.let_go_after_each(job.track(job.queries, "query")):
         start = time.perf_counter()
         places[query.id] = pack_localization(method.locate(job.data.scene, books, query))
         seconds[query.id] = time.perf_counter() - start
@@ -176,15 +211,16 @@ def compute_query(store: Store, inputs: Inputs, config: Config, job: SceneJob) -
 def compute_segment(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Segment every query's target, given where it is."""
     method = build_method(job.method, job.tools)
-    books = _books(store, inputs)
+    opened = OpenBooks(store, inputs)
+    books = opened.all
     places = store.load_json(inputs["query"]["localizations"])
     groundings, seconds = [], {}
-    for query in job.track(job.queries, "segment"):
+    for query in opened.let_go_after_each(job.track(job.queries, "segment")):
         start = time.perf_counter()
         place = unpack_localization(places[query.id])
         grounding = method.segment(job.data.scene, books, place, query)
         seconds[query.id] = grounding.seconds | {"segment": time.perf_counter() - start}
-        groundings.append(grounding)
+        groundings.append(without_pictures(grounding))
     arrays = pack_groundings(groundings, len(job.data.scene.gaussians))
     artifact = store.put_arrays("groundings", arrays)
     return StageOutput({"groundings": artifact}, {"seconds": seconds})
@@ -214,19 +250,19 @@ class PlannedStage:
 
 STAGES = (
     PlannedStage(
-        Stage("render", 1, compute_render, ("renderer", "background")),
+        Stage("render", 2, compute_render, ("renderer", "background")),
         ("gaussians", "views"),
     ),
     PlannedStage(
-        Stage("depth", 1, compute_depth, ("renderer",)),
-        ("gaussians", "views"),
+        Stage("depth", 2, compute_depth),
+        ("views", "render"),
     ),
     PlannedStage(
         Stage("masks", 1, compute_masks, ("segmenter",)),
         ("views", "render", "depth"),
     ),
     PlannedStage(
-        Stage("encode", 1, compute_encode, ("encoder",)),
+        Stage("encode", 2, compute_encode, ("encoder",)),
         ("views", "render", "depth", "masks"),
     ),
     PlannedStage(
@@ -262,9 +298,6 @@ STAGES = (
 )
 """The stages, in the order in which they run."""
 
-NO_BOOKS = hashlib.sha256(b"no books").hexdigest()
-"""Stands for the results of the preparation where a method needs none."""
-
 PREPARATION = ("render", "depth", "masks", "encode", "index")
 """Stages before any query: the paper's preparation time."""
 
@@ -294,26 +327,9 @@ def run_stages(job: SceneJob) -> dict[str, StageRun]:
     return runs
 
 
-def _view_book(store: Store, inputs: Inputs) -> ViewBook:
-    return ViewBook.from_arrays(store.load_arrays(inputs["render"]["views"]))
-
-
-def _depth_book(store: Store, inputs: Inputs) -> DepthBook:
-    return DepthBook.from_arrays(store.load_arrays(inputs["depth"]["depths"]))
-
-
-def _patch_book(store: Store, inputs: Inputs) -> PatchBook:
-    return PatchBook.from_arrays(store.load_arrays(inputs["masks"]["patches"]))
-
-
-def _books(store: Store, inputs: Inputs) -> Books:
-    """All the books that the earlier stages have made."""
-    if inputs["encode"] == NO_BOOKS:
-        return Books.none()
-    features = store.load_arrays(inputs["encode"]["features"])["features"]
-    semantics = SemanticVectorBook(features, _patch_book(store, inputs))
-    index = store.load_arrays(inputs["index"]["index"]) if "index" in inputs else {}
-    return Books(_view_book(store, inputs), _depth_book(store, inputs), semantics, index)
+def _n_pixels(sizes: NDArray[np.int32]) -> int:
+    """P: pixels of all views together."""
+    return int(sizes.prod(axis=1, dtype=np.int64).sum())
 
 
 def _digest(value: object) -> str:

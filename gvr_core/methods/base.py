@@ -95,8 +95,7 @@ def prepare_books(
         background: Colour behind the renders.
     """
     renderer, models = tools.renderer, tools.models
-    views = preparation.render_views(scene.gaussians, scene.views, renderer, background)
-    depths = preparation.render_depths(scene.gaussians, scene.views, renderer)
+    views, depths = preparation.render_books(scene.gaussians, scene.views, renderer, background)
     patches = preparation.segment_views(views, depths, scene.views, models.segmenter)
     semantics = preparation.encode_patches(views, depths, scene.views, patches, models.encoder)
     return Books(views, depths, semantics)

@@ -73,7 +73,7 @@ class GVRRobust:
 
     def locate(self, scene: Scene, books: Books, query: Query) -> Localization:
         """(B) Every place at which the views agree; none where the object is not here."""
-        encoder, features = self.tools.models.encoder, books.semantics.features
+        encoder, features = self.tools.models.encoder, books.semantics.vectors
         text, *negatives = encoder.encode_texts([query.text, *NEGATIVES])
         config = self.config
         calibration = calibration_of(encoder.name, config.phrases)

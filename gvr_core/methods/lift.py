@@ -100,7 +100,7 @@ class Lift:
             "weights": weights.data,
             "patches": weights.indices.astype(np.int32),
             "row_ptr": weights.indptr.astype(np.int64),
-            "lengths": _lengths(weights, books.semantics.features),
+            "lengths": _lengths(weights, books.semantics.vectors),
         }
 
     def ground(self, scene: Scene, books: Books, query: Query) -> Grounding:
@@ -116,7 +116,7 @@ class Lift:
     ) -> Grounding:
         """Every Gaussian that is more like the query than like any canonical phrase."""
         clock = Clock()
-        index, features = books.index, books.semantics.features
+        index, features = books.index, books.semantics.vectors
         weights = sparse.csr_matrix(
             (index["weights"], index["patches"], index["row_ptr"]),
             shape=(len(scene.gaussians), len(features)),

@@ -67,6 +67,15 @@ class Mask:
         return (int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1)
 
 
+def views_at_once(model: Segmenter | Encoder) -> int:
+    """How many frames a segmenter or encoder may be given at the same time, from threads.
+
+    One, unless it has a property of this name: where one frame leaves processors idle, and the
+    answer does not depend on what else is being looked at.
+    """
+    return max(1, int(getattr(model, "views_at_once", 1)))
+
+
 class Segmenter(Protocol):
     """Cuts pictures into masks; SAM's role."""
 

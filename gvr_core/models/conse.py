@@ -60,6 +60,11 @@ class ConseEncoder:
         )
 
     @property
+    def views_at_once(self) -> int:
+        """Two: one frame's crops are cut while the network looks at the other's."""
+        return 2
+
+    @property
     def dim(self) -> int:
         """c: length of a semantic vector, 384."""
         return SentenceEmbedder.dim

@@ -21,6 +21,7 @@ from gvr_core.models.frame_memory import content_key
 from gvr_core.models.outlines import Outline, outline_of
 from gvr_core.models.regions import LabelArray, Region, regions_of
 from gvr_core.models.things import merge_things
+from gvr_core.rendering.compiled import available_threads
 
 _REMEMBERED = 4
 """Frames whose masks are kept: prompts come in a row for one picture."""
@@ -95,6 +96,11 @@ class GraphSegmenter:
         """Name, version, settings and version of the library that segments."""
         values = ",".join(f"{key}={value}" for key, value in self._settings.model_dump().items())
         return f"onboard-graph/1({values},scikit-image={version('scikit-image')})"
+
+    @property
+    def views_at_once(self) -> int:
+        """One frame on each processor, up to four: a frame of a megapixel takes half a gigabyte."""
+        return min(available_threads(), 4)
 
     def automatic(self, frame: Frame) -> list[Mask]:
         """All patches, coarse to fine and large to small; an empty list where nothing is shown."""
