@@ -257,6 +257,7 @@ def _timing(run: StageRun) -> StageTiming:
         seconds=record.seconds,
         cpu_seconds=record.cpu_seconds,
         peak_bytes=record.peak_bytes,
+        peak_of=record.peak_of,
         state="cached" if run.cached else "computed",
         key=record.key,
     )

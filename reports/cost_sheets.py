@@ -10,15 +10,24 @@ from reports.headline import dataset_names
 from reports.record import Result, SceneResult
 from reports.sheet import Sheet
 
+MIXED = "*"
+"""Marks a peak that other work of the same process may be in."""
+
+PEAK_NOTE = (
+    "Peak MB: most resident memory of the process while a stage ran, the largest over the stages."
+    f" {MIXED}: other scenes ran in threads of the same process, or it is not known whether: theirs"
+    " may be in it."
+)
+
 
 def timing_sheets(result: Result) -> list[Sheet]:
-    """The paper's second table: seconds to prepare a scene and to answer a query."""
+    """The paper's second table: seconds to prepare a scene and to answer a query; peak memory."""
     sheets = []
     for dataset in dataset_names(result):
         rows = []
         for scene in (s for s in result.scenes if s.dataset == dataset):
             if scene.status == "failed":
-                rows.append((scene.method, scene.scene, "failed", *([NONE] * 5)))
+                rows.append((scene.method, scene.scene, "failed", *([NONE] * 6)))
                 continue
             width, height = scene.picture_size
             rows.append(
@@ -31,21 +40,31 @@ def timing_sheets(result: Result) -> list[Sheet]:
                     str(scene.n_views),
                     f"{width}x{height}",
                     f"{scene.n_gaussians:,}",
+                    _peak_text(scene),
                 )
             )
+        notes = ["Cached stages count with the time of their original computation."]
+        if any(row[-1] != NONE for row in rows):
+            notes.append(PEAK_NOTE)
         sheets.append(
             Sheet(
                 title=f"{dataset}: seconds to prepare a scene, and to answer a query",
                 columns=(
                     *("method", "scene", "prepare", "query"),
-                    *("queries", "views", "pictures", "Gaussians"),
+                    *("queries", "views", "pictures", "Gaussians", "peak MB"),
                 ),
                 rows=tuple(rows),
                 n_names=2,
-                notes=("Cached stages count with the time of their original computation.",),
+                notes=tuple(notes),
             )
         )
     return sheets
+
+
+def _peak_text(scene: SceneResult) -> str:
+    if not scene.peak_bytes:
+        return NONE
+    return f"{scene.peak_bytes / 1e6:,.0f}{'' if scene.peak_is_own else MIXED}"
 
 
 def stage_sheets(result: Result) -> list[Sheet]:
@@ -60,7 +79,7 @@ def _stage_sheet(scene: SceneResult) -> Sheet:
             stage.state,
             seconds_text(stage.seconds),
             seconds_text(stage.cpu_seconds),
-            f"{stage.peak_bytes / 1e6:,.0f}",
+            f"{stage.peak_bytes / 1e6:,.0f}{'' if stage.peak_of == 'stage' else MIXED}",
         )
         for stage in scene.stages
     ]
@@ -72,6 +91,8 @@ def _stage_sheet(scene: SceneResult) -> Sheet:
         mean = seconds_text(sum(times) / len(times))
         rows.append((f"a query: {step}", f"mean of {len(times)}", mean, NONE, NONE))
     notes = [f"failed: {scene.error or 'no reason given'}"] if scene.status == "failed" else []
+    if not scene.peak_is_own:
+        notes.append(PEAK_NOTE)
     return Sheet(
         title=f"{scene.dataset} / {scene.scene}, {scene.method}: stages",
         columns=("stage", "state", "seconds", "cpu s", "peak MB"),

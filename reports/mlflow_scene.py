@@ -128,11 +128,13 @@ def _scene_points(item: SceneResult, summary: Aggregate) -> Iterator[Point]:
         yield Point("query_seconds", item.query_seconds)
         yield Point("found", sum(query.found for query in item.queries) / len(item.queries))
     if item.stages:
-        yield Point("peak_memory_mb", max(stage.peak_bytes for stage in item.stages) / 1e6)
+        yield Point("peak_memory_mb", item.peak_bytes / 1e6)
+        yield Point("peak_memory_is_own", float(item.peak_is_own))
     for stage in item.stages:
         name = safe_key(stage.stage)
         yield Point(f"stage_seconds/{name}", stage.seconds)
         yield Point(f"stage_cpu_seconds/{name}", stage.cpu_seconds)
+        yield Point(f"stage_peak_mb/{name}", stage.peak_bytes / 1e6)
         yield Point(f"stage_cached/{name}", float(stage.state == "cached"))
 
 

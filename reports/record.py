@@ -64,6 +64,10 @@ class StageTiming(_Record):
     """Whether this run computed it."""
     key: str
     """The stage's cache key."""
+    peak_of: Literal["stage", "shared", "process"] | None = None
+    """What the peak is of: ``stage``, of this stage alone; ``shared``, also of other scenes' stages
+    that ran at the same time in threads of the process; ``process``, since the process began. None
+    in results from before it was noted."""
 
 
 class QueryOutcome(_Record):
@@ -114,6 +118,16 @@ class SceneResult(_Record):
     """``method`` of the results that these are compared with, on the same scenes."""
     original: bool = False
     """Whether the scene is taken for the data that published numbers are on."""
+
+    @property
+    def peak_bytes(self) -> int:
+        """Peak resident memory over all stages; 0 where none is known."""
+        return max((stage.peak_bytes for stage in self.stages), default=0)
+
+    @property
+    def peak_is_own(self) -> bool:
+        """Whether no other work of the process is in that peak."""
+        return all(stage.peak_of == "stage" for stage in self.stages)
 
     @property
     def shown_label(self) -> str:

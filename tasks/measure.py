@@ -5,10 +5,16 @@ from __future__ import annotations
 import os
 import resource
 import sys
+import threading
 import time
 from pathlib import Path
 from types import TracebackType
 from typing import Literal
+
+PeakOf = Literal["stage", "shared", "process"]
+"""``stage``: of this block alone, where the kernel lets the peak be reset at its start (Linux:
+VmHWM through /proc/self/clear_refs). ``shared``: of this block and of those that ran beside it in
+the process. ``process``: since the process began (ru_maxrss)."""
 
 _CLEAR_REFS = Path("/proc/self/clear_refs")
 _STATUS = Path("/proc/self/status")
@@ -18,7 +24,9 @@ class Measurement:
     """Measures a ``with`` block.
 
     All three figures are the whole process's, as numba, torch and BLAS threads cannot be told
-    apart: stages that run at the same time in threads of one process are counted in each other.
+    apart: blocks that run at the same time in threads of one process are counted in each other,
+    and `peak_of` says so. What other processes take is never in them. Pages of files that are
+    mapped into memory count as long as they are resident.
     """
 
     seconds: float = 0.0
@@ -27,12 +35,13 @@ class Measurement:
     """User and system time of this process and of the children it waited for."""
     peak_bytes: int = 0
     """Highest resident memory, with what was resident before the block began."""
-    peak_of: Literal["stage", "process"] = "process"
-    """``stage`` where the kernel let the peak be reset at the start (Linux: VmHWM through
-    /proc/self/clear_refs); else ``process``: the peak since the process began (ru_maxrss)."""
+    peak_of: PeakOf = "process"
+    """What the peak is of."""
 
     def __enter__(self) -> Measurement:
-        self.peak_of = "stage" if _reset_peak() else "process"
+        with _lock:
+            reset = _begin(self)
+        self.peak_of = "process" if not reset else "shared" if self in _together else "stage"
         self._cpu = _cpu_seconds()
         self._wall = time.perf_counter()
         return self
@@ -45,11 +54,33 @@ class Measurement:
     ) -> None:
         self.seconds = time.perf_counter() - self._wall
         self.cpu_seconds = max(_cpu_seconds() - self._cpu, 0.0)
-        peak = _high_water_mark() if self.peak_of == "stage" else None
-        if peak is None:
-            self.peak_of = "process"
-            peak = _maximum_resident()
-        self.peak_bytes = peak
+        with _lock:
+            peak = _high_water_mark() if self.peak_of != "process" else None
+            if peak is None:
+                self.peak_of = "process"
+                peak = _maximum_resident()
+            elif self in _together:
+                self.peak_of = "shared"
+            self.peak_bytes = max(peak, self.peak_bytes)
+            _running.discard(self)
+            _together.discard(self)
+
+
+_lock = threading.Lock()
+_running: set[Measurement] = set()
+_together: set[Measurement] = set()
+"""Those of the running ones beside which another has run."""
+
+
+def _begin(new: Measurement) -> bool:
+    """Reset the peak for a new block; the others keep what they have seen of it so far."""
+    so_far = _high_water_mark()
+    for other in _running:
+        other.peak_bytes = max(other.peak_bytes, so_far or 0)
+    if _running:
+        _together.update(_running, (new,))
+    _running.add(new)
+    return _reset_peak()
 
 
 def _cpu_seconds() -> float:

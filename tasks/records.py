@@ -16,6 +16,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from gvr_core.errors import StoreError
+from tasks.measure import PeakOf
 
 RECORD_SCHEMA: Literal[1] = 1
 """Layout of `StageRecord`; a record with another number is not read."""
@@ -62,8 +63,8 @@ class StageRecord(BaseModel):
     """User and system time of this process and its finished children meanwhile."""
     peak_bytes: int = Field(ge=0)
     """Highest resident memory of the process; see `peak_of`."""
-    peak_of: Literal["stage", "process"]
-    """``stage``: the peak was reset at the start; ``process``: since the process began."""
+    peak_of: PeakOf
+    """What the peak is of: the stage alone, or also others beside or before it."""
     created: str
     """UTC, ISO 8601."""
     detail: dict[str, JsonValue] = Field(default_factory=dict)
