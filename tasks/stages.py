@@ -302,11 +302,12 @@ PREPARATION = ("render", "depth", "masks", "encode", "index")
 """Stages before any query: the paper's preparation time."""
 
 
-def run_stages(job: SceneJob) -> dict[str, StageRun]:
-    """Run every stage of a job, or find its result in the store.
+def run_stages(job: SceneJob, last: str = STAGES[-1].stage.name) -> dict[str, StageRun]:
+    """Run the stages of a job, or find their results in the store.
 
     Args:
         job: One method on one scene.
+        last: The stage to end with.
 
     Returns:
         Stage name -> how it ended; without the preparation's stages for methods that need no
@@ -324,6 +325,8 @@ def run_stages(job: SceneJob) -> dict[str, StageRun]:
             planned.stage, job.store, inputs, config, label=job.label, runtime={"job": job}
         )
         known[planned.stage.name] = runs[planned.stage.name] = run
+        if planned.stage.name == last:
+            break
     return runs
 
 

@@ -78,29 +78,23 @@ class Lift:
         so the N x c vectors themselves are never needed again.
         """
         patches, n = books.semantics.patches, len(scene.gaussians)
-        columns = []
+        rows: list[NDArray[np.int32]] = []
+        weights: list[NDArray[np.float32]] = []
         for view in range(patches.n_views):
             camera = scene.views[view].camera
             for j in range(int(patches.view_ptr[view]), int(patches.view_ptr[view + 1])):
                 inside, _ = mask_weights(
                     self.tools.renderer, scene.gaussians, camera, patches.pixels(j)
                 )
-                rows = np.flatnonzero(inside > UNSEEN)
-                columns.append((rows, inside[rows]))
-        counts = [len(rows) for rows, _ in columns]
-        weights = sparse.csc_matrix(
-            (
-                np.concatenate([np.empty(0, np.float32), *(w for _, w in columns)]),
-                np.concatenate([np.empty(0, np.int64), *(r for r, _ in columns)]),
-                np.cumsum([0, *counts]),
-            ),
-            shape=(n, len(columns)),
-        ).tocsr()
+                seen = np.flatnonzero(inside > UNSEEN).astype(np.int32)
+                rows.append(seen)
+                weights.append(inside[seen])
+        lifted = _by_gaussian(rows, weights, n)
         return {
-            "weights": weights.data,
-            "patches": weights.indices.astype(np.int32),
-            "row_ptr": weights.indptr.astype(np.int64),
-            "lengths": _lengths(weights, books.semantics.vectors),
+            "weights": lifted.data,
+            "patches": lifted.indices.astype(np.int32, copy=False),
+            "row_ptr": lifted.indptr.astype(np.int64),
+            "lengths": _lengths(lifted, books.semantics.vectors),
         }
 
     def ground(self, scene: Scene, books: Books, query: Query) -> Grounding:
@@ -155,6 +149,22 @@ class Lift:
         if calibration.phrases:
             return over_phrases(cosines[:, 0], cosines[:, 1:])
         return over_typical(cosines[:, 0])
+
+
+def _by_gaussian(
+    rows: list[NDArray[np.int32]], weights: list[NDArray[np.float32]], n: int
+) -> sparse.csr_matrix:
+    """W (N x M) by rows, from its columns' rows and weights; empties both lists on the way.
+
+    On big scenes W is most of the memory in use: it is there at most twice.
+    """
+    starts = np.cumsum([0, *map(len, rows)])
+    shape = (n, len(rows))
+    indices = np.concatenate([np.empty(0, np.int32), *rows])
+    rows.clear()
+    data = np.concatenate([np.empty(0, np.float32), *weights])
+    weights.clear()
+    return sparse.csc_matrix((data, indices, starts), shape=shape).tocsr()
 
 
 def _lengths(weights: sparse.csr_matrix, features: NDArray[np.float32]) -> NDArray[np.float32]:

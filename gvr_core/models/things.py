@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvr_core.models.frame_geometry import FrameGeometry
-from gvr_core.models.regions import LabelArray
+from gvr_core.models.regions import LabelArray, dense_labels
 
 GAP_PERCENTILE = 25.0
 """Of the depth steps along a common border: things that hang together do so in some places
@@ -34,8 +34,7 @@ def merge_things(
         (H, W) labels; what is not shown, or lies on a support plane, keeps regions of its own.
     """
     off_plane = geometry.shown & (geometry.plane == 0) & (geometry.disparity > 0)
-    _, dense = np.unique(labels, return_inverse=True)
-    dense = dense.reshape(labels.shape).astype(np.int64)
+    dense = dense_labels(labels)
     depth = np.zeros(labels.shape)
     np.divide(1.0, geometry.disparity, out=depth, where=off_plane)
     count = int(dense.max()) + 1

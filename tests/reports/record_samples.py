@@ -61,6 +61,7 @@ def scene_result(scene: str, method: str, queries: list[str], **fields: object) 
                 peak_bytes=300 * 2**20,
                 state="computed",
                 key="k1",
+                peak_of="stage",
             ),
             StageTiming(
                 stage="encode",
@@ -69,6 +70,7 @@ def scene_result(scene: str, method: str, queries: list[str], **fields: object) 
                 peak_bytes=500 * 2**20,
                 state="cached",
                 key="k2",
+                peak_of="shared",
             ),
         ),
         "queries": tuple(

@@ -79,16 +79,33 @@ def test_protocols_are_named(sample: Sample) -> None:
 def test_times(sample: Sample) -> None:
     result, _, _ = sample
     text = shown(tables.timing(result))
-    expected = ["12.5", "0.75", "3", "7", "320x240", "12,345"]
+    expected = ["12.5", "0.75", "3", "7", "320x240", "12,345", "524*"]
     assert line_of(text, "gvr-paper", "kitchen")[2:] == expected
-    assert line_of(text, "lift", "garden")[2:] == ["failed", *["–"] * 5]
+    assert line_of(text, "lift", "garden")[2:] == ["failed", *["–"] * 6]
+    assert "*: other scenes ran in threads" in " ".join(text.split())
+
+
+def test_a_peak_is_unmarked_only_where_it_is_known_to_be_the_stage_s_own(sample: Sample) -> None:
+    result, _, _ = sample
+    (scene, *_) = result.scenes
+
+    def shown_peak(*peaks: str | None) -> str:
+        pairs = zip(scene.stages, peaks, strict=True)
+        stages = tuple(stage.model_copy(update={"peak_of": of}) for stage, of in pairs)
+        alone = scene.model_copy(update={"stages": stages})
+        text = shown(tables.timing(result.model_copy(update={"scenes": (alone,)})))
+        return line_of(text, "gvr-paper", "kitchen")[-1]
+
+    assert shown_peak("stage", "stage") == "524"
+    for marked in ("shared", "process", None):
+        assert shown_peak("stage", marked) == shown_peak(marked, "stage") == "524*"
 
 
 def test_stages(sample: Sample) -> None:
     result, _, _ = sample
     text = shown(tables.stages(result))
     assert line_of(text, "masks") == ["masks", "computed", "10.0", "18.0", "315"]
-    assert line_of(text, "encode") == ["encode", "cached", "2.50", "4.00", "524"]
+    assert line_of(text, "encode") == ["encode", "cached", "2.50", "4.00", "524*"]
     assert " ".join(line_of(text, "segment")) == "a query: segment mean of 3 0.50 – –"
     assert "failed: no masks" in text
 
@@ -158,4 +175,4 @@ def test_odd_names_break_no_table(sample: Sample) -> None:
     assert "\x1b" not in block
     for line in block.splitlines():
         if line.startswith("|") and "m |" in line:
-            assert len(re.findall(r"(?<!\\)\|", line)) in (4, 9)
+            assert len(re.findall(r"(?<!\\)\|", line)) in (4, 10)
