@@ -138,21 +138,19 @@ def _say(items: Iterable[Any], text: str) -> Iterator[Any]:
 
 def run_limited(arguments: argparse.Namespace, folder: Path) -> tuple[list[StageCost], int]:
     """The stages' costs, measured in a process with the limit, and how it ended."""
-    # Of an address space, mapped files are a part; of data, they are none.
-    limit = int(arguments.limit_gb * 1e9)
     command = [sys.executable, __file__, "--measure-in", str(folder)]
     command += ["--gaussians", str(arguments.gaussians), "--views", str(arguments.views)]
     command += ["--size", "x".join(map(str, arguments.size)), "--models", arguments.models]
-    command += ["--queries", str(arguments.queries), "--methods", *arguments.methods]
-    command += ["--limit-gb", str(arguments.limit_gb)]
-    process = subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_DATA, (limit, limit)),
-    )
-    printed, _ = process.communicate()
-    return [StageCost(**json.loads(line)) for line in printed.splitlines()], process.returncode
+    command += ["--queries", str(arguments.queries), "--limit-gb", str(arguments.limit_gb)]
+    command += ["--methods", *arguments.methods]
+    ended = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    return [StageCost(**json.loads(line)) for line in ended.stdout.splitlines()], ended.returncode
+
+
+def limit_memory(most_gb: float) -> None:
+    """Let this process ask for no more. Mapped files, which the system may drop, do not count."""
+    most = int(most_gb * 1e9)
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
 
 
 def table(found: Sequence[StageCost], views: int) -> str:
@@ -189,6 +187,7 @@ def main() -> int:
     parser.add_argument("--measure-in", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.measure_in is not None:
+        limit_memory(arguments.limit_gb)
         for cost in costs(arguments, arguments.measure_in):
             print(json.dumps(asdict(cost)), flush=True)
         return 0

@@ -8,7 +8,7 @@ from test_models_frames import BOXES, FRONT, GROUND, LEFT, RIGHT, WALL, Box, abo
 
 from gvr_core.models.frame_geometry import FrameGeometry, frame_geometry
 from gvr_core.models.outlines import outline_of
-from gvr_core.models.regions import Region, regions_of
+from gvr_core.models.regions import Region, dense_labels, regions_of
 from gvr_core.models.things import merge_things
 
 
@@ -145,3 +145,11 @@ def test_surfaces_do_not_join_across_a_support_plane() -> None:
     labels[:, 20:40], labels[:, 40:] = 1, 2
     geometry = flat(np.ones((30, 60)), labels == 1)
     assert len(np.unique(merge_things(labels, geometry, 100.0, np.inf))) == 3
+
+
+@pytest.mark.parametrize("scale", [1, 3, 10**9])
+def test_dense_labels_are_those_of_sorting(scale: int) -> None:
+    labels = np.random.default_rng(scale).integers(-4, 40, (30, 50)) * scale
+    labels[labels == 7 * scale] = 5 * scale
+    _, twin = np.unique(labels, return_inverse=True)
+    assert np.array_equal(dense_labels(labels), twin.reshape(labels.shape))

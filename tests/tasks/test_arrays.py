@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from safetensors.numpy import save_file
 
+from gvr_core.books import PatchBook
 from gvr_core.errors import StoreError
+from gvr_core.models.base import Mask
 from tasks.arrays import DTYPES, ArrayWriter, StoredArrays, write_arrays
 from tasks.records import canonical_json
 from tasks.store import Store
@@ -113,3 +115,22 @@ def test_what_is_no_file_of_arrays_is_refused(tmp_path: Path, content: bytes) ->
     path.write_bytes(content)
     with pytest.raises(StoreError, match=r"bad\.safetensors: not a safetensors file"):
         StoredArrays(path)
+
+
+def test_a_large_semantic_vector_book_stays_small(tmp_path) -> None:
+    """300 views of 988x731 with 100 patches each, c = 512: under 64 MB."""
+    rng, views, per_view = np.random.default_rng(0), 300, 100
+    rows, columns = np.mgrid[0:731, 0:988]
+    few = []
+    for _ in range(24):  # wavy discs, as large as things are in pictures
+        x, y, radius = rng.uniform(0, 988), rng.uniform(0, 731), rng.uniform(15, 120)
+        angle = np.arctan2(rows - y, columns - x)
+        edge = radius * (1 + 0.15 * np.sin(rng.integers(3, 12) * angle))
+        few.append(Mask(np.hypot(rows - y, columns - x) <= edge))
+    drawn = PatchBook.of_masks([few], [(731, 988)])
+    bytes_each = len(drawn.rle) / len(drawn)
+    vectors = np.zeros((views * per_view, 512), np.float16)
+    rle = np.zeros(int(bytes_each * views * per_view), np.uint8)
+    write_arrays(tmp_path / "book", {"features": vectors, "rle": rle}, {})
+    assert (tmp_path / "book").stat().st_size < 64e6
+    assert StoredArrays(tmp_path / "book")["features"].shape == (30_000, 512)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "big_scene.py"
+ROOT = Path(__file__).parents[2]
+SCRIPT = ROOT / "benchmarks" / "big_scene.py"
 STAGES = ("render", "depth", "masks", "encode", "index", "query", "segment")
 GROWTH = 48e6
 """Of the peak, bytes: what allocators keep for themselves differs by this from run to run. 24 views
@@ -22,7 +24,10 @@ pytestmark = pytest.mark.skipif(
 
 def run(*options: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(SCRIPT), "--models", "random", "--json", *options]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    own = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=300, env=own, check=False
+    )
 
 
 def peaks(views: int) -> dict[str, int]:
