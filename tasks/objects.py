@@ -9,6 +9,10 @@ An object lies at ``objects/ab/<sha256><suffix>``. When is its content checked?
   that changes bits by itself escapes, until the next process. Stamps are kept in memory only: one
   on disk could be doctored along with the object.
 - An object changed less than two seconds ago is always hashed, as two changes may share a stamp.
+
+Arrays can be written piece by piece (`new_arrays`) and read by memory map (`open_arrays`): neither
+side needs to hold them whole. A mapped object may be replaced or removed meanwhile; what is mapped
+stays as it was.
 """
 
 from __future__ import annotations
