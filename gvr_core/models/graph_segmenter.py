@@ -21,7 +21,7 @@ from gvr_core.models.frame_memory import content_key
 from gvr_core.models.outlines import Outline, outline_of
 from gvr_core.models.regions import LabelArray, Region, regions_of
 from gvr_core.models.things import merge_things
-from gvr_core.rendering.compiled import available_threads
+from gvr_core.threads import available_threads
 
 _REMEMBERED = 4
 """Frames whose masks are kept: prompts come in a row for one picture."""
