@@ -55,6 +55,8 @@ def try_scene(order: SceneTry, apart: bool) -> tuple[SceneOutcome, ...]:
                 process.run(order, notes)
         else:
             run_here(order, notes)
+        if len(notes.outcomes) < len(order.lines):
+            raise SceneLost("its flow run ended early; its log in Prefect says why")
     except Exception as error:
         return lost_outcomes(order, notes, error)
     return tuple(notes.outcomes)

@@ -20,7 +20,7 @@ def schedule(
     ] = DEFAULT_SUITE,
     cron: Annotated[str | None, typer.Option(help="When, such as '0 2 * * *'.")] = None,
     interval: Annotated[
-        str | None, typer.Option(help="Or how often: 30m, 6h, 1d; the first run is at once.")
+        str | None, typer.Option(help="Or how often: 30m, 6h, 1d; counted from now.")
     ] = None,
     timezone: Annotated[str, typer.Option(help="Time zone of --cron.")] = "UTC",
     runner: Annotated[

@@ -152,8 +152,7 @@ class SceneResult(_Record):
     original: bool = False
     """Whether the scene is taken for the data that published numbers are on."""
     attempts: int = Field(default=1, ge=0)
-    """How often it was tried: more than once where a failure was retried, 0 where its scene was
-    lost with another method before it began."""
+    """How often it was tried: more than once where a failure was tried again."""
     evidence: str | None = None
     """Path of the evidence for its answers, relative to the result's folder."""
 

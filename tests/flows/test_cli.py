@@ -188,7 +188,9 @@ def test_a_terminated_run_takes_its_server_with_it(home, tmp_path, two_boxes_fol
     servers: list[psutil.Process] = []
     while not servers and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.2)
-        servers = [p for p in process.children(recursive=True) if "uvicorn" in p.cmdline()]
+        servers = [
+            p for p in process.children(recursive=True) if "tasks.prefect_serve" in p.cmdline()
+        ]
     assert servers
     time.sleep(2)  # well into the start of the server
     process.terminate()

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -102,10 +103,10 @@ def runs_of(url: str, flow: str) -> list[dict[str, Any]]:
     return [run for run in answer.json() if run["start_time"]]
 
 
-def ended(url: str, count: int) -> list[dict[str, Any]]:
-    """The nightly runs, once so many have ended; none before."""
+def ended(url: str, count: int, state: str = "Completed") -> list[dict[str, Any]]:
+    """The nightly runs, once so many have ended in a state; none before."""
     over = [run for run in runs_of(url, "nightly") if run["state_type"] in FINAL]
-    return over if len(over) >= count else []
+    return over if sum(run["state_name"] == state for run in over) >= count else []
 
 
 def server_url(home: Path) -> str | None:
@@ -121,9 +122,10 @@ def test_a_schedule_runs_again_and_again(tmp_path: Path, environment: dict[str, 
     with running(arguments, environment, tmp_path, "schedule") as process:
         url = poll(lambda: server_url(tmp_path / "home"), 240, process)
         runs = poll(lambda: ended(url, 2), 400, process)
-        assert [run["state_name"] for run in runs[:2]] == ["Completed", "Completed"]
-        apart = [httpx_time(run["expected_start_time"]) for run in runs[:2]]
-        assert (apart[1] - apart[0]) % 25 == 0
+        # On a busy machine one is due while the one before goes on: that one is cancelled.
+        assert {run["state_name"] for run in runs} <= {"Completed", "Cancelled"}
+        due = [seconds(run["expected_start_time"]) for run in runs]
+        assert {round(time - due[0]) % 25 for time in due} == {0}
         artifacts = httpx.post(f"{url}/artifacts/filter", json={}, trust_env=False).json()
         assert {a["key"] for a in artifacts if a["key"]} == {"result-often"}
         everything = psutil.Process(process.pid).children(recursive=True)
@@ -138,18 +140,41 @@ def test_a_schedule_runs_again_and_again(tmp_path: Path, environment: dict[str, 
     assert psutil.wait_procs(everything, timeout=30)[1] == []
 
 
+def test_missed_runs_are_not_made_up_for(tmp_path: Path, environment: dict[str, str]) -> None:
+    suite = write_suite(tmp_path, "missed", scenes=1)
+    arguments = ["flows", "schedule", str(suite), "--interval", "10s", "--no-mlflow"]
+    with running(arguments, environment, tmp_path, "killed") as process:
+        url = poll(lambda: server_url(tmp_path / "home"), 240, process)
+        poll(lambda: planned(url), 60, process)
+        process.kill()
+        process.wait()
+    time.sleep(15)  # so long that runs are missed
+    arguments[4] = "1h"
+    with running(arguments, environment, tmp_path, "again") as process:
+        url = poll(lambda: server_url(tmp_path / "home"), 240, process)
+        poll(lambda: len(planned(url)) and min(planned(url)) > time.time() - 5, 60, process)
+
+
+def planned(url: str) -> list[float]:
+    """When the runs are due that have not begun."""
+    body = {"flow_runs": {"state": {"type": {"any_": ["SCHEDULED"]}}}}
+    answer = httpx.post(f"{url}/flow_runs/filter", json=body, trust_env=False, timeout=30)
+    return [seconds(run["expected_start_time"]) for run in answer.json()]
+
+
 def test_a_failing_scene_makes_the_run_failed_and_the_others_go_on(
     tmp_path: Path, environment: dict[str, str]
 ) -> None:
     suite = write_suite(tmp_path, "broken", scenes=3, broken=True)
-    arguments = ["flows", "schedule", str(suite), "--interval", "1h", "--no-mlflow"]
+    arguments = ["flows", "schedule", str(suite), "--interval", "15s", "--no-mlflow"]
     with running(arguments, environment, tmp_path, "schedule") as process:
         url = poll(lambda: server_url(tmp_path / "home"), 240, process)
-        (run, *_) = poll(lambda: ended(url, 1), 300, process)
-        assert run["state_name"] == "Failed" and "scene_0001" in run["state"]["message"]
-        states = {r["name"].rpartition("/")[2]: r["state_name"] for r in runs_of(url, "scene")}
+        runs = poll(lambda: ended(url, 1, "Failed"), 300, process)
+        (run, *_) = [run for run in runs if run["state_name"] == "Failed"]
+        assert "scene_0001" in run["state"]["message"]
+        states = {r["name"].rpartition("/")[2]: r["state_name"] for r in runs_of(url, "scene")[:3]}
     assert states == {"scene_0000": "Completed", "scene_0001": "Failed", "scene_0002": "Completed"}
-    (folder,) = list_results(tmp_path / "home" / "results")
+    folder = list_results(tmp_path / "home" / "results")[0]
     statuses = [s.status for s in read_result(folder)[0].scenes]
     assert statuses == ["completed", "failed", "completed"]
 
@@ -191,13 +216,14 @@ def test_a_worker_runs_what_prefect_yaml_deploys(
         poll(lambda: answers(f"{url}/health"), 240, process)
         prefect("work-pool", "create", "gvr", "--type", "process")
         parameter = f"suite={suite}"
-        prefect("deploy", "-n", "nightly", "--interval", "20", "--param", parameter)
+        prefect("deploy", "-n", "nightly", "--interval", "30", "--param", parameter)
         worker = ["prefect", "worker", "start", "--pool", "gvr"]
         with running(worker, environment, tmp_path, "worker") as working:
             runs = poll(lambda: ended(url, 2), 400, working)
-    finished = [run["state_name"] for run in runs]
-    assert finished.count("Completed") >= 1 and "Failed" not in finished
-    assert len(list_results(tmp_path / "home" / "results")) >= 1
+    assert {run["state_name"] for run in runs} <= {"Completed", "Cancelled"}
+    results = list_results(tmp_path / "home" / "results")
+    assert len(results) >= 2
+    assert all(not scene.error for scene in read_result(results[0])[0].scenes)
 
 
 def answers(url: str) -> bool:
@@ -207,7 +233,5 @@ def answers(url: str) -> bool:
         return False
 
 
-def httpx_time(text: str) -> int:
-    from datetime import datetime
-
-    return round(datetime.fromisoformat(text.replace("Z", "+00:00")).timestamp())
+def seconds(text: str) -> float:
+    return datetime.fromisoformat(text.replace("Z", "+00:00")).timestamp()

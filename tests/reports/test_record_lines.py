@@ -12,7 +12,7 @@ from record_samples import reseal
 from reports.result_check import ResultError
 from reports.result_io import read_result, write_result
 
-NEW = ("label", "model_set", "reference")
+NEW = ("label", "model_set", "reference", "attempts")
 
 
 def test_lines_come_back(tmp_path: Path) -> None:
@@ -31,6 +31,7 @@ def test_a_result_from_before_there_were_lines_still_reads(result_folder: Path) 
     reseal(result_folder)
     result, _ = read_result(result_folder)
     assert {(s.label, s.model_set, s.reference) for s in result.scenes} == {("", "", None)}
+    assert {s.attempts for s in result.scenes} == {1}
     assert [s.shown_label for s in result.scenes] == [s.method for s in result.scenes]
 
 
