@@ -55,6 +55,7 @@ class StageCost:
     method: str
     stage: str
     seconds: float
+    cpu_seconds: float
     peak_bytes: int
     peak_of: str
     stored_bytes: int
@@ -124,7 +125,7 @@ def costs(arguments: argparse.Namespace, folder: Path) -> Iterator[StageCost]:
         for stage, run in run_stages(job, last="segment").items():
             if not run.cached:
                 record = run.record
-                measured = (record.seconds, record.peak_bytes, record.peak_of)
+                measured = (record.seconds, record.cpu_seconds, record.peak_bytes, record.peak_of)
                 yield StageCost(method, stage, *measured, record.total_bytes)
 
 
@@ -155,14 +156,15 @@ def limit_memory(most_gb: float) -> None:
 
 def table(found: Sequence[StageCost], views: int) -> str:
     lines = [
-        "| method | stage | seconds | a view | peak MB | on disk, MB |",
-        "| :--- | :--- | ---: | ---: | ---: | ---: |",
+        "| method | stage | seconds | a view | processor s | peak MB | on disk, MB |",
+        "| :--- | :--- | ---: | ---: | ---: | ---: | ---: |",
     ]
     for cost in found:
         each = f"{cost.seconds / views:.3f}" if cost.stage not in ("query", "segment") else "–"
         lines.append(
             f"| {cost.method} | {cost.stage} | {cost.seconds:.1f} | {each} |"
-            f" {cost.peak_bytes / 1e6:,.0f} | {cost.stored_bytes / 1e6:,.1f} |"
+            f" {cost.cpu_seconds:.1f} | {cost.peak_bytes / 1e6:,.0f} |"
+            f" {cost.stored_bytes / 1e6:,.1f} |"
         )
     return "\n".join(lines)
 

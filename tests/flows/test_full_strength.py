@@ -178,7 +178,8 @@ def _the_books_hold_what_the_libraries_give(home: Path, scene: SceneResult, file
     with torch.no_grad():
         direct = model.encode_image(torch.stack([preprocess(Image.fromarray(c)) for c in crops]))
     direct = direct / direct.norm(dim=1, keepdim=True)
-    np.testing.assert_allclose(book.features[: len(masks)], direct.numpy(), atol=2e-6)
+    # half precision rounds numbers below 1 by 2^-12 at most
+    np.testing.assert_allclose(book.vectors[: len(masks)], direct.numpy(), rtol=0, atol=2.5e-4)
 
 
 def _ring_views_were_segmented(home: Path, scene: SceneResult) -> None:

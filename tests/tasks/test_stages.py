@@ -12,6 +12,7 @@ from native_scene import parts, written
 
 from datasets.base import SceneData
 from datasets.native import read_scene
+from gvr_core.errors import StoreError
 from gvr_core.methods import METHODS, MethodConfig, Toolbox, build_method
 from gvr_core.methods.gvr_paper import LocateConfig, SegmentConfig
 from gvr_core.methods.lift import LiftConfig
@@ -22,7 +23,7 @@ from gvr_core.rendering import get_renderer
 from gvr_core.robust.calibration import CALIBRATED, Calibration
 from gvr_core.robust.config import RobustConfig, RobustIndex, RobustLocate
 from tasks.groundings import unpack_answers
-from tasks.stages import PREPARATION, STAGES, SceneJob, run_stages
+from tasks.stages import PREPARATION, STAGES, SceneJob, compute_depth, run_stages
 from tasks.store import Store
 
 NAMES = tuple(planned.stage.name for planned in STAGES)
@@ -242,3 +243,41 @@ def test_stages_apart_answer_as_the_method_at_one_go(job) -> None:
         np.testing.assert_array_equal(answer.flags, whole.flags)
         np.testing.assert_array_equal(answer.scores, whole.scores)
         assert answer.confidence == whole.confidence
+
+
+class CountingRenderer:
+    """The real renderer, counting; a test double in that alone."""
+
+    name = "counting"
+
+    def __init__(self) -> None:
+        self.renders = 0
+
+    def render(self, *arguments: Any, **named: Any) -> Any:
+        self.renders += 1
+        return get_renderer("numba").render(*arguments, **named)
+
+
+def test_each_view_is_drawn_once_for_both_books(job) -> None:
+    renderer = CountingRenderer()
+    counted = replace(job, tools=replace(job.tools, renderer=renderer))
+    runs = run_stages(counted, last="encode")
+    assert list(runs) == ["render", "depth", "masks", "encode"]
+    assert renderer.renders == len(job.data.scene.views)
+    assert runs["depth"]["depths"] == runs["render"]["depths"]
+    features = job.store.load_arrays(runs["encode"]["features"])["features"]
+    assert features.dtype == np.float16
+    # the Depth Book has been lost: it is drawn again, and what was made from it stands
+    job.store.path(runs["depth"]["depths"]).unlink()
+    again = run_stages(counted, last="encode")
+    assert [name for name, run in again.items() if not run.cached] == ["render"]
+    assert renderer.renders == 2 * len(job.data.scene.views)
+    assert again["render"].artifacts == runs["render"].artifacts
+
+
+def test_a_depth_book_of_other_views_is_refused(job) -> None:
+    runs = run_stages(job, last="depth")
+    scene = replace(job.data.scene, views=job.data.scene.views[:-1])
+    fewer = replace(job, data=replace(job.data, scene=scene))
+    with pytest.raises(StoreError, match=r"depth book .* holds .*accepted"):
+        compute_depth(job.store, {"render": runs["render"]}, {}, fewer)
