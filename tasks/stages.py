@@ -16,9 +16,9 @@ five stages as they are; changing the renderer changes every picture, and so eve
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -44,6 +44,7 @@ from tasks.groundings import (
     without_pictures,
 )
 from tasks.open_books import NO_BOOKS, OpenBooks
+from tasks.query_times import QueryTimes
 from tasks.records import StageRecord
 from tasks.stage import Stage, StageRun, run_stage
 from tasks.store import StageOutput, Store, canonical_json
@@ -205,35 +206,41 @@ def compute_index(store: Store, inputs: Inputs, config: Config, job: SceneJob) -
 
 def compute_query(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """RFL: localise every query."""
-    method = build_method(job.method, job.tools)
+    method, scene = build_method(job.method, job.tools), job.data.scene
     opened = OpenBooks(store, inputs)
     books = opened.all
-    places, seconds = {}, {}
+    shared = method.share(scene, books, job.queries)
+    places, times = {}, QueryTimes(shared)
     for query in opened.let_go_after_each(job.track(job.queries, "query")):
-        start = time.perf_counter()
-        places[query.id] = pack_localization(method.locate(job.data.scene, books, query))
-        seconds[query.id] = time.perf_counter() - start
+        place = times.time(query.id, partial(method.locate, scene, books, query, shared))
+        places[query.id] = pack_localization(place)
     artifact = store.put_json("localizations", places)
-    return StageOutput({"localizations": artifact}, {"seconds": seconds})
+    detail = {"seconds": times.seconds, "shared_seconds_each": times.shared_each}
+    return StageOutput({"localizations": artifact}, detail)
 
 
 def compute_segment(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Segment every query's target, given where it is."""
-    method = build_method(job.method, job.tools)
+    method, scene = build_method(job.method, job.tools), job.data.scene
     opened = OpenBooks(store, inputs)
     books = opened.all
     places = store.load_json(inputs["query"]["localizations"])
-    groundings, pictures, seconds = [], [], {}
+    shared = method.share(scene, books, job.queries)
+    groundings, pictures, times = [], [], QueryTimes(shared)
     for query in opened.let_go_after_each(job.track(job.queries, "segment")):
-        start = time.perf_counter()
         place = unpack_localization(places[query.id])
-        grounding = method.segment(job.data.scene, books, place, query)
-        seconds[query.id] = grounding.seconds | {"segment": time.perf_counter() - start}
+        segment = partial(method.segment, scene, books, place, query, shared)
+        grounding = times.time(query.id, segment)
         pictures.append(small_pictures(grounding))
         groundings.append(without_pictures(grounding))
-    arrays = pack_groundings(groundings, len(job.data.scene.gaussians), pictures)
+    seconds = {
+        query: grounding.seconds | {"segment": own}
+        for grounding, (query, own) in zip(groundings, times.seconds.items(), strict=True)
+    }
+    arrays = pack_groundings(groundings, len(scene.gaussians), pictures)
     artifact = store.put_arrays("groundings", arrays)
-    return StageOutput({"groundings": artifact}, {"seconds": seconds})
+    detail = {"seconds": seconds, "shared_seconds_each": times.shared_each}
+    return StageOutput({"groundings": artifact}, detail)
 
 
 def compute_evaluate(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
@@ -290,11 +297,11 @@ STAGES = (
         ("views", "render", "depth", "masks"),
     ),
     PlannedStage(
-        Stage("index", 2, compute_index, ("method", "renderer", "index")),
+        Stage("index", 3, compute_index, ("method", "renderer", "index")),
         ("gaussians", "views", "render", "depth", "masks", "encode"),
     ),
     PlannedStage(
-        Stage("query", 3, compute_query, ("method", "encoder", "calibration", "locate")),
+        Stage("query", 4, compute_query, ("method", "encoder", "calibration", "locate")),
         ("gaussians", "views", "texts", "render", "depth", "masks", "encode", "index"),
     ),
     PlannedStage(
