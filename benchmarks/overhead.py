@@ -72,8 +72,6 @@ class FlowRun:
     """Part of the process -> seconds, see :mod:`flow_child`."""
     stages: dict[str, float]
     """Stage -> seconds, all scenes together."""
-    beside: dict[str, float]
-    """What ran in threads beside the parts -> seconds."""
 
 
 @dataclass(frozen=True)
@@ -114,10 +112,6 @@ class Overhead:
         """Seconds of a part of the flow."""
         return Spread.of([run.parts[name] for run in self.flows])
 
-    def beside(self, name: str) -> Spread:
-        """Seconds of what ran in a thread beside."""
-        return Spread.of([run.beside[name] for run in self.flows])
-
     def stage(self, name: str) -> Spread:
         """Seconds of a stage."""
         return Spread.of([run.stages[name] for run in self.flows])
@@ -149,7 +143,7 @@ def measure(work: Work, repeats: int, say: Callable[[str], object] = str) -> Ove
         told = flow.told
         compared = check_equal(loops[-1].told, told["scores"])
         parts = told["parts"] | {"start and exit": flow.wall - told["wall"]}
-        flows.append(FlowRun(flow.wall, flow.cpu, parts, told["stages"], told["beside"]))
+        flows.append(FlowRun(flow.wall, flow.cpu, parts, told["stages"]))
     walls, cpus = ([getattr(loop, name) for loop in loops] for name in ("wall", "cpu"))
     return Overhead(work, tuple(walls), tuple(cpus), tuple(flows), compared)
 
@@ -218,10 +212,6 @@ def tables(found: Overhead) -> str:
         ("plain loop", found.loop.shown(), Spread.of(found.loop_cpus).shown()),
         ("flow", found.flow.shown(), Spread.of([run.cpu for run in found.flows]).shown()),
         *((f"- {name}", found.part(name).shown(digits=2), "") for name in found.flows[0].parts),
-        *(
-            (f"beside: {name}", found.beside(name).shown(digits=2), "")
-            for name in found.flows[0].beside
-        ),
     ]
     return "\n\n".join(
         [

@@ -21,7 +21,6 @@ from gvr_core.models.registry import require_weights
 from gvr_core.protocols import PROTOCOLS
 from reports import tables
 from reports.document import replace_block
-from reports.mlflow_ahead import mlflow_ready
 from reports.mlflow_store import SyncError, default_tracking_uri
 from reports.pictures import contact_sheet
 from reports.record import Result, Row
@@ -69,7 +68,7 @@ def run(
     from flows.benchmark import run_benchmark
     from tasks.prefect_runtime import prefect_runtime
 
-    with mlflow_ready(mlflow), prefect_runtime(Store(store), home=home() / "prefect"):
+    with prefect_runtime(Store(store), home=home() / "prefect"):
         outcome = run_benchmark(suite, store, results, progress)
     print_tables(outcome.result, outcome.rows)
     console.print(f"\nResult: {outcome.folder}", soft_wrap=True, highlight=False)

@@ -5,18 +5,19 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import overhead_child
 import pytest
 from overhead import QUICK, SCENES, FlowRun, Overhead, Work, check_equal, tables
-from overhead_child import Stopwatch
+from overhead_child import Stopwatch, check_filled, kept
 
 from flows.suite import SuiteConfig
 
 
 def flow_run(wall: float, mlflow: float) -> FlowRun:
     parts = {"stages' own work": wall - mlflow, "MLflow": mlflow}
-    return FlowRun(wall, wall, parts, {"render": wall / 4}, {"MLflow made ready": 1.0})
+    return FlowRun(wall, wall, parts, {"render": wall / 4})
 
 
 def test_bars_are_held_to_the_medians() -> None:
@@ -84,3 +85,24 @@ def test_a_stopwatch_counts_nested_parts_once(monkeypatch: pytest.MonkeyPatch) -
     assert watch.seconds["server: stop"] == 4
     with pytest.raises(KeyError), watch.around_context("server", server)():
         raise KeyError("inside")
+
+
+def test_a_run_whose_mlflow_was_not_filled_is_no_measurement() -> None:
+    check_filled([2])
+    for created in ([], [0], [1], [2, 2]):
+        with pytest.raises(SystemExit, match="MLflow was not filled"):
+            check_filled(created)
+
+
+def test_a_failed_call_leaves_nothing_behind() -> None:
+    def sync(number: int) -> int:
+        if number < 0:
+            raise ValueError("no store")
+        return number
+
+    module = SimpleNamespace(sync=sync)
+    returned = kept(module, "sync")
+    assert module.sync(3) == 3
+    with pytest.raises(ValueError, match="no store"):
+        module.sync(-1)
+    assert returned == [3]

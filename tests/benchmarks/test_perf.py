@@ -36,7 +36,7 @@ def sample() -> Measured:
     renders = [times(n, size, 0.004) for n in (50_000, 200_000, 1_000_000) for size in sizes]
     renders[-1] = times(1_000_000, sizes[1], 0.030)  # above the bar, which does not hold there
     spread = Spread.of([0.5, 0.4, 0.9])
-    flow = FlowRun(70.0, 90.0, {"MLflow": 0.7}, {"render": 7.0}, {"MLflow made ready": 3.0})
+    flow = FlowRun(70.0, 90.0, {"MLflow": 0.7}, {"render": 7.0})
     points = tuple((n, Spread.of([0.01 * n])) for n in (10, 30, 100))
     grown = [Growth("gvr-paper: prepare", of, points) for of in ("Gaussians", "views", "queries")]
     return Measured(
