@@ -20,7 +20,7 @@ import torch
 import typer
 from hot_spots import HotSpot, profile
 from perf_plots import growth_picture
-from perf_sections import sections
+from perf_sections import SECTIONS, sections
 from render_speed import (
     SIZES,
     RenderTimes,
@@ -39,7 +39,7 @@ from gvr_core.methods import MethodConfig, Toolbox, build_method
 from gvr_core.models.registry import ModelConfig, build_models
 from gvr_core.rendering.numba_renderer import NumbaRenderer
 from gvr_core.rendering.torch_reference import TorchReference
-from reports.document import replace_block
+from reports.document import read_block, replace_block
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "performance.md"
 PICTURE = "performance.png"
@@ -54,6 +54,8 @@ class Plan:
     sizes: tuple[tuple[int, int], ...] = SIZES
     renders: int = 9
     """Pictures of each kind."""
+    twin_threads: tuple[int, ...] | None = None
+    """Of the torch twin, which takes the best; None for one, and torch's own choice."""
     gaussians: int = 100_000
     """Of the scene that methods are compared on."""
     views: int = 30
@@ -74,6 +76,7 @@ QUICK = Plan(
     counts=(50_000, 200_000),
     sizes=((640, 480),),
     renders=3,
+    twin_threads=(1,),
     gaussians=20_000,
     views=6,
     repeats=3,
@@ -128,7 +131,7 @@ def measure(plan: Plan, say: Console) -> Measured:
         renders += [render_times(scene, size, plan.renders) for size in plan.sizes]
     step("renderer and its torch twin")
     references = [TorchReference(torch.float32)]
-    twins = twin_times(NumbaRenderer(), plan.renders, references)
+    twins = twin_times(NumbaRenderer(), plan.renders, references, plan.twin_threads)
     step(f"methods, {plan.gaussians:,} Gaussians, {plan.views} views")
     methods = growth.method_times(plan.gaussians, plan.views, plan.queries, plan.repeats)
     step(f"growth with Gaussians, to {max(plan.grown_gaussians):,}")
@@ -165,21 +168,28 @@ def _work_to_profile(plan: Plan):
     return f"gvr-paper on gallery_0, {plan.profiled} queries, onboard models", work
 
 
+def check_page(page: Path) -> None:
+    """Refuse a page that a run could not be written into.
+
+    Raises:
+        ResultError: for a page that cannot be read or lacks one of the blocks.
+    """
+    for name in SECTIONS:
+        read_block(page, name)
+
+
 def write(found: Measured, page: Path) -> None:
     """Put the tables into the page and the picture beside it.
 
     Raises:
-        ResultError: for a page that lacks one of the blocks; nothing is written then.
+        ResultError: for a page that cannot be written, or lacks one of the blocks.
     """
-    texts = sections(found)
-    content = page.read_text(encoding="utf-8")
-    for name, text in texts.items():
+    for name, text in sections(found).items():
         replace_block(page, name, text)
-    if content:
-        picture = page.parent / "pictures" / PICTURE
-        picture.parent.mkdir(exist_ok=True)
-        with atomic_write(picture) as stream:
-            stream.write(growth_picture(found.grown, found.renders))
+    picture = page.parent / "pictures" / PICTURE
+    picture.parent.mkdir(exist_ok=True)
+    with atomic_write(picture) as stream:
+        stream.write(growth_picture(found.grown, found.renders))
 
 
 def main(
@@ -189,11 +199,13 @@ def main(
     ] = None,
 ) -> None:
     """Measure, print, and write the page."""
+    page = into or (None if quick else PAGE)
+    if page is not None:
+        check_page(page)  # before a quarter of an hour is spent
     found = measure(QUICK if quick else Plan(), Console(stderr=True))
     console = Console(soft_wrap=True, highlight=False)
     for name, text in sections(found).items():
         console.print(f"\n{name}\n\n{text}", markup=False)
-    page = into or (None if quick else PAGE)
     if page is not None:
         write(found, page)
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import psutil
-from growth import HEIGHT as ROOM_HEIGHT
-from growth import WIDTH
+from growth import HEIGHT, WIDTH, Growth
 from measuring import Bar, Spread, markdown
-from render_speed import BLEND_BAR, BLEND_COUNT, STAGES, TORCH_BAR, linear_fit
+from overhead import tables
+from render_speed import BLEND_BAR, BLEND_COUNT, STAGES, TORCH_BAR, RenderTimes, linear_fit
 
 from reports.environment import describe_environment
 
@@ -25,15 +25,7 @@ VERSIONS = ("numpy", "numba", "torch", "gsplat", "prefect", "mlflow")
 
 def sections(found: Measured) -> dict[str, str]:
     """Name of a block of the page -> its Markdown."""
-    return {
-        "perf-machine": machine(found),
-        "perf-bars": bars(found),
-        "perf-render": render(found),
-        "perf-methods": methods(found),
-        "perf-growth": grown(found),
-        "perf-overhead": overhead(found),
-        "perf-next": next_places(found),
-    }
+    return {name: section(found) for name, section in SECTIONS.items()}
 
 
 def machine(found: Measured) -> str:
@@ -129,7 +121,7 @@ def methods(found: Measured) -> str:
     ]
     return "\n\n".join(
         [
-            f"{plan.gaussians:,} Gaussians, {plan.views} views of {WIDTH}x{ROOM_HEIGHT}, oracle "
+            f"{plan.gaussians:,} Gaussians, {plan.views} views of {WIDTH}x{HEIGHT}, oracle "
             f"models; median (least-most) of {plan.repeats} preparations and of {plan.queries} "
             f"queries, in turns.",
             markdown(
@@ -165,9 +157,7 @@ def grown(found: Measured) -> str:
     )
 
 
-def _render_row(renders: list) -> tuple[str, ...]:
-    from growth import Growth
-
+def _render_row(renders: list[RenderTimes]) -> tuple[str, ...]:
     points = tuple((times.gaussians, Spread.of(times.totals)) for times in renders)
     growth = Growth(f"a picture of {renders[0].width}x{renders[0].height}", "Gaussians", points)
     line = growth.fit
@@ -178,8 +168,6 @@ def _render_row(renders: list) -> tuple[str, ...]:
 
 def overhead(found: Measured) -> str:
     """The flow against the plain loop, and its stages."""
-    from overhead import tables
-
     seen = found.overhead
     stages = {name: seen.stage(name) for name in seen.flows[0].stages}
     whole = seen.flow.median
@@ -211,3 +199,15 @@ def next_places(found: Measured) -> str:
             markdown(("function", "seconds", "of the whole"), rows),
         ]
     )
+
+
+SECTIONS = {
+    "perf-machine": machine,
+    "perf-bars": bars,
+    "perf-render": render,
+    "perf-methods": methods,
+    "perf-growth": grown,
+    "perf-overhead": overhead,
+    "perf-next": next_places,
+}
+"""Block of the page -> what makes it."""

@@ -291,7 +291,7 @@ class TwinTimes:
     ours: float
     """Least seconds."""
     twins: dict[str, float]
-    """Name -> least seconds, with one thread or all."""
+    """Name -> least seconds, whatever the number of threads."""
 
     def ratio(self, name: str) -> float:
         """How many times as long a twin takes."""
@@ -299,7 +299,10 @@ class TwinTimes:
 
 
 def twin_times(
-    renderer: NumbaRenderer, repeats: int, twins: Sequence[TorchReference] | None = None
+    renderer: NumbaRenderer,
+    repeats: int,
+    twins: Sequence[TorchReference] | None = None,
+    threads: Sequence[int] | None = None,
 ) -> TwinTimes:
     """The CPU renderer and its torch twins in turns, 200,000 Gaussians at 640 x 480.
 
@@ -307,13 +310,15 @@ def twin_times(
         renderer: The CPU renderer.
         repeats: Pictures of it for each picture of a twin.
         twins: The references; in float32 and float64 where None.
+        threads: Numbers of torch threads to try; one, and torch's own choice, where None.
     """
     gaussians, camera = surface_scene(200_000), corner_camera(640, 480)
     twins = twins or [TorchReference(torch.float32), TorchReference(torch.float64)]
     times = {twin.name: float("inf") for twin in twins}
     ours, usual = float("inf"), torch.get_num_threads()
-    for threads in (1, usual):  # torch's threads can cost more than they bring on a busy machine
-        torch.set_num_threads(threads)
+    # Torch's threads can cost more than they bring on a busy machine.
+    for number in threads or (1, usual):
+        torch.set_num_threads(number)
         for twin in twins:
             seconds = seconds_of(lambda twin=twin: twin.render(gaussians, camera))
             times[twin.name] = min(times[twin.name], seconds)

@@ -24,6 +24,33 @@ def replace_block(path: Path, name: str, text: str) -> None:
             twice or both the wrong way round.
     """
     path = path.resolve()  # of a link, the file is replaced and not the link
+    content, begin, end = _find_block(path, name)
+    newline = "\r\n" if "\r\n" in begin.group() else "\n"
+    body = newline.join(text.strip("\n").splitlines())
+    changed = content[: begin.end()] + body + newline + content[end.start() :]
+    try:
+        with atomic_write(path) as stream:
+            stream.write(changed.encode("utf-8"))
+    except OSError as error:
+        raise ResultError(f"cannot be written: {error}", path=path) from error
+
+
+def read_block(path: Path, name: str) -> str:
+    """What stands between ``<!-- name -->`` and ``<!-- /name -->``.
+
+    Args:
+        path: A text file that has both lines once, in this order.
+        name: Name of the block.
+
+    Raises:
+        ResultError: for a file that cannot be read, or has no such block or several.
+    """
+    content, begin, end = _find_block(path, name)
+    return content[begin.end() : end.start()]
+
+
+def _find_block(path: Path, name: str) -> tuple[str, re.Match[str], re.Match[str]]:
+    """A file's text, and the two marker lines of a block in it."""
     try:
         # Not read_text, which would lose the file's own line ends.
         content = path.read_bytes().decode("utf-8")
@@ -37,14 +64,7 @@ def replace_block(path: Path, name: str, text: str) -> None:
             place=f"line {_line_number(content, end)}",
             accepted=f"<!-- {name} -->, then <!-- /{name} -->",
         )
-    newline = "\r\n" if "\r\n" in begin.group() else "\n"
-    body = newline.join(text.strip("\n").splitlines())
-    changed = content[: begin.end()] + body + newline + content[end.start() :]
-    try:
-        with atomic_write(path) as stream:
-            stream.write(changed.encode("utf-8"))
-    except OSError as error:
-        raise ResultError(f"cannot be written: {error}", path=path) from error
+    return content, begin, end
 
 
 def _only_line(path: Path, content: str, marker: str) -> re.Match[str]:
