@@ -11,6 +11,7 @@
     │   ├── ModelError            a model's weights or its name
     │   └── ResultError           a result's folder (reports.result_check)
     ├── StoreError            the artifact store: a damaged object, a record that is not ours
+    │   └── RemoteError           a folder behind a URL that does not answer, or refuses
     ├── SyncError             MLflow could not be filled (reports.mlflow_store)
     └── ServerError           MLflow's pages could not be served (reports.mlflow_server)
 """
@@ -74,6 +75,20 @@ class ModelError(InputError):
 
 class StoreError(GVRError):
     """The artifact store holds something damaged, or something that is not ours."""
+
+
+class RemoteError(StoreError):
+    """A folder behind a URL did not do what it was asked.
+
+    Args:
+        message: What was asked for, of which URL, and what came back.
+        refused: Whether it answered with a refusal (no such bucket, no permission), which asking
+            again does not change; else it could not be reached or failed.
+    """
+
+    def __init__(self, message: str, *, refused: bool = False) -> None:
+        super().__init__(message)
+        self.refused = refused
 
 
 def some_of(names: Iterable[str], most: int = 3) -> str:

@@ -29,6 +29,7 @@ from pydantic import JsonValue, ValidationError
 from gvr_core.atomic import file_digest
 from gvr_core.errors import StoreError
 from gvr_core.locks import file_lock
+from gvr_core.remote_url import is_url
 from tasks.arrays import StoredArrays, write_arrays
 from tasks.files import Stamp, move_into_place, sync_file, temporary_name
 from tasks.records import DIGEST, Artifact, canonical_json
@@ -39,17 +40,30 @@ _SUFFIX = re.compile(r"(\.[a-z0-9]{1,16}){0,2}")
 _OBJECT = re.compile(rf"objects/([0-9a-f]{{2}})/({DIGEST.pattern})({_SUFFIX.pattern})")
 
 
+def local_root() -> Path:
+    """The local folder of a store that is shared by URL.
+
+    The environment variable GVR_STORE_LOCAL, else ``store`` under GVR_HOME, else ``.gvr/store``.
+    """
+    home = os.environ.get("GVR_HOME")
+    default = Path(home) / "store" if home else DEFAULT_ROOT
+    return Path(os.environ.get("GVR_STORE_LOCAL") or default)
+
+
 class ObjectStore:
     """Objects by content.
 
     Args:
-        root: The store's folder; else the environment variable GVR_STORE, else ``.gvr/store``
-            under the current folder. Made at the first write.
+        root: The store's folder, or the URL of one that is shared, with `local_root` as the
+            folder here; else the environment variable GVR_STORE, else ``.gvr/store`` under the
+            current folder. Made at the first write.
     """
 
     def __init__(self, root: Path | str | None = None) -> None:
         chosen = root if root is not None else os.environ.get("GVR_STORE") or DEFAULT_ROOT
-        self.root = Path(chosen).expanduser().resolve()
+        self.url = str(chosen) if is_url(chosen) else None
+        """The shared folder; None for a store that is a folder only."""
+        self.root = Path(local_root() if self.url else chosen).expanduser().resolve()
         self._found_right: dict[str, Stamp] = {}
 
     @property
@@ -161,6 +175,11 @@ class ObjectStore:
             )
         except ValidationError as error:
             raise StoreError(f"kind {kind!r} (accepted: 1 to 64 characters)") from error
+        self._keep(temporary, artifact)
+        return artifact
+
+    def _keep(self, temporary: Path, artifact: Artifact) -> None:
+        """Give a finished temporary file, whose content is an artifact's, its name."""
         temporary.chmod(0o444)
         sync_file(temporary)
         target = self.locate(artifact)
@@ -168,7 +187,6 @@ class ObjectStore:
             # Also where the object exists: that heals a damaged one, and its fresh time stamp
             # tells the garbage collector that somebody is about to refer to it.
             move_into_place(temporary, target)
-        return artifact
 
     # Reading
 

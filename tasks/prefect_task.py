@@ -18,6 +18,7 @@ from prefect.states import Completed
 from prefect.tasks import Task
 
 from gvr_core.errors import StoreError
+from tasks.findings import Notes
 from tasks.prefect_results import RESULT_SERIALIZER, StageResultStorage, result_key
 from tasks.prefect_server import note_task_run
 from tasks.record_store import StageOutput
@@ -34,6 +35,7 @@ def run_as_task(
     *,
     label: str = "",
     refresh: bool = False,
+    notes: Notes | None = None,
 ) -> tuple[StageRecord, Literal["Completed", "Cached"]]:
     """Run a stage as a Prefect task; to be called inside a flow or another task.
 
@@ -45,6 +47,7 @@ def run_as_task(
         function: Computes the artifacts.
         label: Shown in the task run's name: ``render · gallery/seed0``.
         refresh: Compute even where there is a sound result.
+        notes: Get what was found damaged.
 
     Returns:
         The record, and the state's name.
@@ -53,13 +56,16 @@ def run_as_task(
         StoreError: Prefect ended the run otherwise than by the function's return or error.
         Exception: Whatever the function raises.
     """
-    found = None if refresh else store.lookup(stage, key)
+    notes = notes if notes is not None else Notes()
+    found = None if refresh else store.lookup(stage, key, notes)
     outcome: list[StageRecord] = []
     errors: list[Exception] = []
 
     def compute() -> State:
         try:
-            record, computed = store.compute_once(stage, version, key, function, refresh=refresh)
+            record, computed = store.compute_once(
+                stage, version, key, function, refresh=refresh, notes=notes
+            )
         except Exception as error:
             errors.append(error)
             raise

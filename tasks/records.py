@@ -68,6 +68,10 @@ class StageRecord(BaseModel):
     """UTC, ISO 8601."""
     detail: dict[str, JsonValue] = Field(default_factory=dict)
     """Counts and the like that the stage reports about itself."""
+    checksum: str = Field(default="", pattern=r"^([0-9a-f]{64})?$")
+    """sha256 of the canonical JSON of all other fields; empty in records of earlier versions. It
+    finds what chance changes (a flipped bit in a time); whoever can write a record can write its
+    checksum."""
 
     @property
     def digest(self) -> str:
@@ -84,17 +88,29 @@ class StageRecord(BaseModel):
         """This record as plain JSON values."""
         return self.model_dump(mode="json", by_alias=True)
 
+    def with_checksum(self) -> StageRecord:
+        """This record with its checksum filled in."""
+        return self.model_copy(update={"checksum": self._sum()})
+
+    def _sum(self) -> str:
+        rest = self.model_dump(mode="json", by_alias=True, exclude={"checksum"})
+        return hashlib.sha256(canonical_json(rest, name=f"record of {self.stage}")).hexdigest()
+
     @classmethod
     def from_json(cls, text: str | bytes) -> StageRecord:
         """Read a record.
 
         Raises:
-            StoreError: The text is not JSON, or not a record of this schema.
+            StoreError: The text is not JSON, or not a record of this schema, or its checksum is
+                another.
         """
         try:
-            return cls.model_validate_json(text)
+            record = cls.model_validate_json(text)
         except (ValidationError, ValueError, RecursionError) as error:
             raise StoreError(f"not a stage record of schema {RECORD_SCHEMA}: {error}") from error
+        if record.checksum and record.checksum != record._sum():
+            raise StoreError("a stage record whose checksum is another: it was changed")
+        return record
 
 
 def canonical_json(value: object, *, name: str = "value") -> bytes:

@@ -14,13 +14,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
 from pydantic import BaseModel
 
 from gvr_core.errors import ConfigError, StoreError
+from tasks.findings import Notes
 from tasks.record_store import StageOutput
 from tasks.records import Artifact, StageRecord, check_stage_name, stage_key
 from tasks.store import Store
@@ -37,6 +38,8 @@ class StageRun:
     state: StageState
     label: str = ""
     """What it was run for, e.g. ``"gallery/seed0"``."""
+    notes: Notes = field(default_factory=Notes)
+    """What was found damaged on the way, and what the shared store did."""
 
     @property
     def cached(self) -> bool:
@@ -157,15 +160,15 @@ def run_stage(
     """
     key = stage.key(inputs, config)
     function = partial(stage.function, store, dict(inputs), stage.slice(config), **(runtime or {}))
+    notes = Notes()
+    named = (store, stage.name, stage.version, key, function)
     if _inside_prefect():
         from tasks.prefect_task import run_as_task
 
-        record, state = run_as_task(
-            store, stage.name, stage.version, key, function, label=label, refresh=refresh
-        )
-        return StageRun(record, state, label)
-    record, computed = store.compute_once(stage.name, stage.version, key, function, refresh=refresh)
-    return StageRun(record, "Completed" if computed else "Cached", label)
+        record, state = run_as_task(*named, label=label, refresh=refresh, notes=notes)
+        return StageRun(record, state, label, notes)
+    record, computed = Store.compute_once(*named, refresh=refresh, notes=notes)
+    return StageRun(record, "Completed" if computed else "Cached", label, notes)
 
 
 def _digests(inputs: Mapping[str, StageInput]) -> dict[str, str]:

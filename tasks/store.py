@@ -8,6 +8,7 @@ Layout under the root::
     tmp/                          files being written
     damaged/                      objects whose content was found wrong
     prefect-results/              what Prefect keeps about the stage tasks (JSON)
+    shared/<id of a URL>/         what is known of a shared store (`tasks.remote_tier`)
 
 It knows nothing of Prefect: `Store.compute_once` is all that a library user needs::
 
@@ -20,8 +21,9 @@ It knows nothing of Prefect: `Store.compute_once` is all that a library user nee
 from __future__ import annotations
 
 from gvr_core.errors import StoreError
-from tasks.record_store import LookupCounts, RecordStore, StageFunction, StageOutput
+from tasks.record_store import LookupCounts, StageFunction, StageOutput
 from tasks.records import Artifact, StageRecord, canonical_json, stage_key
+from tasks.shared_store import SharedStore
 from tasks.upkeep import (
     GRACE_SECONDS,
     GcReport,
@@ -48,12 +50,13 @@ __all__ = [
 ]
 
 
-class Store(RecordStore):
+class Store(SharedStore):
     """The whole store: objects, records, and their upkeep.
 
     Args:
-        root: The store's folder; else the environment variable GVR_STORE, else ``.gvr/store``
-            under the current folder. Made at the first write.
+        root: The store's folder, or the URL of one that several machines share (its local
+            folder is then `tasks.objects.local_root`); else the environment variable GVR_STORE,
+            else ``.gvr/store`` under the current folder. Made at the first write.
     """
 
     def ls(self, stage: str | None = None) -> Listing:

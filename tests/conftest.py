@@ -6,7 +6,9 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import fsspec
 import pytest
+from s3_server import S3Server
 
 from tasks.prefect_runtime import PrefectRuntime, prefect_runtime
 from tasks.store import Store
@@ -29,3 +31,18 @@ def prefect_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Prefect
     folder = tmp_path_factory.mktemp("prefect")
     with prefect_runtime(Store(folder / "store"), home=folder / "home", isolated=True) as runtime:
         yield runtime
+
+
+@pytest.fixture(scope="session")
+def s3_server() -> Iterator[S3Server]:
+    """One S3 server on 127.0.0.1 for all tests."""
+    server = S3Server()
+    yield server
+    server.kill()
+
+
+@pytest.fixture
+def s3(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> S3Server:
+    """The S3 server, as the one that s3:// means in this test."""
+    monkeypatch.setitem(fsspec.config.conf, "s3", s3_server.settings)
+    return s3_server
