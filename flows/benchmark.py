@@ -15,7 +15,8 @@ from flows.scene import SceneOutcome, scene_flow
 from flows.suite import SuiteConfig, resolve_scenes
 from reports.environment import describe_environment
 from reports.record import Result, Row
-from reports.result_io import new_run_id, write_result
+from reports.result_io import new_run_id
+from reports.results_place import ResultsPlace
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,8 @@ def benchmark_flow(
     Args:
         suite: The suite's configuration as JSON values.
         run_id: Name of the result's folder.
-        store: Root of the artifact store.
-        results: Folder of the results.
+        store: Root of the artifact store, or its URL.
+        results: Folder of the results, or its URL.
         progress: Show progress bars.
 
     Raises:
@@ -70,19 +71,19 @@ def benchmark_flow(
     )
     rows = tuple(row for outcome in outcomes for row in outcome.rows)
     pictures = _pictures(outcomes)
-    folder = write_result(Path(results) / run_id, result, rows, pictures)
+    folder = ResultsPlace(results).write(result, rows, pictures)
     return BenchmarkOutcome(folder, result, rows, any(o.bad_input for o in outcomes))
 
 
 def run_benchmark(
-    suite: SuiteConfig, store: Path, results: Path, progress: bool = False
+    suite: SuiteConfig, store: Path | str, results: Path | str, progress: bool = False
 ) -> BenchmarkOutcome:
     """Run a suite in the Prefect that :func:`tasks.prefect_runtime.prefect_runtime` set up.
 
     Args:
         suite: The suite.
-        store: Root of the artifact store.
-        results: Folder of the results; the new one is made in there.
+        store: Root of the artifact store, or its URL.
+        results: Folder of the results, or its URL; the new one is made in there.
         progress: Show progress bars.
 
     Raises:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from flows import commands
+from flows import cache_commands, commands
 from flows.datasets_cli import datasets_app
 from flows.models_cli import models_app
 from flows.places import results_root, store_root
@@ -34,7 +34,11 @@ app.add_typer(models_app, name="models")
 app.add_typer(datasets_app, name="datasets")
 
 StoreOption = Annotated[
-    Path | None, typer.Option("--store", help="Artifact store; GVR_STORE, else .gvr/store.")
+    str | None,
+    typer.Option(
+        "--store",
+        help="Artifact store, a folder or a shared URL; GVR_STORE, else .gvr/store.",
+    ),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars.")]
 
@@ -72,7 +76,8 @@ def run(
     ] = False,
     store: StoreOption = None,
     results: Annotated[
-        Path | None, typer.Option(help="Folder of the results; GVR_RESULTS, else .gvr/results.")
+        str | None,
+        typer.Option(help="Results, a folder or a shared URL; GVR_RESULTS, else .gvr/results."),
     ] = None,
     tracking_uri: Annotated[
         str | None,
@@ -223,14 +228,25 @@ def cache_ls(
     stage: Annotated[str | None, typer.Option(help="Only this stage.")] = None,
     store: StoreOption = None,
 ) -> None:
-    """List what is cached, by stage."""
-    commands.cache_ls(store or store_root(), stage)
+    """List what is cached, by stage; of a shared store, both tiers."""
+    cache_commands.cache_ls(store or store_root(), stage)
 
 
 @cache_app.command("verify")
-def cache_verify(store: StoreOption = None) -> None:
+def cache_verify(
+    store: StoreOption = None,
+    remote: Annotated[
+        bool, typer.Option("--remote", help="Check the shared store too, reading all of it.")
+    ] = False,
+) -> None:
     """Read everything that is cached, and check it against its digest."""
-    raise typer.Exit(commands.cache_verify(store or store_root()))
+    raise typer.Exit(cache_commands.cache_verify(store or store_root(), remote))
+
+
+@cache_app.command("push")
+def cache_push(store: StoreOption = None) -> None:
+    """Put into the shared store what it lacks, and what was found damaged there."""
+    raise typer.Exit(cache_commands.cache_push(store or store_root()))
 
 
 @cache_app.command("gc")
@@ -241,9 +257,17 @@ def cache_gc(
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would go.")] = False,
     store: StoreOption = None,
+    remote: Annotated[
+        bool,
+        typer.Option(
+            "--remote",
+            help="In the shared store and not in the local folder; there --keep-days counts "
+            "from when a result was written.",
+        ),
+    ] = False,
 ) -> None:
     """Remove from the store what nothing refers to."""
-    commands.cache_gc(store or store_root(), keep_days, dry_run)
+    cache_commands.cache_gc(store or store_root(), keep_days, dry_run, remote)
 
 
 def main(arguments: list[str] | None = None) -> Any:

@@ -24,7 +24,8 @@ from reports.document import replace_block
 from reports.mlflow_store import SyncError, default_tracking_uri
 from reports.pictures import contact_sheet
 from reports.record import Result, Row
-from reports.result_io import list_results, read_result
+from reports.result_io import read_result
+from reports.results_place import ResultsPlace
 from tasks.store import Store
 
 SHEET_PICTURES = 12
@@ -45,8 +46,8 @@ def run(
     datasets: Sequence[str],
     scenes: Sequence[str],
     limit: int | None,
-    store: Path,
-    results: Path,
+    store: Path | str,
+    results: Path | str,
     mlflow: str | None,
     progress: bool,
     models: Sequence[str] = (),
@@ -68,7 +69,9 @@ def run(
     from flows.benchmark import run_benchmark
     from tasks.prefect_runtime import prefect_runtime
 
-    with prefect_runtime(Store(store), home=home() / "prefect"):
+    known = Store(store)
+    known.check()
+    with prefect_runtime(known, home=home() / "prefect"):
         outcome = run_benchmark(suite, store, results, progress)
     print_tables(outcome.result, outcome.rows)
     console.print(f"\nResult: {outcome.folder}", soft_wrap=True, highlight=False)
@@ -95,7 +98,7 @@ def ground(
     dye: str | None,
     out: Path,
     max_views: int | None,
-    store: Path,
+    store: Path | str,
     progress: bool,
     models: str = ONBOARD.label,
 ) -> None:
@@ -122,7 +125,9 @@ def ground(
     from tasks.prefect_runtime import prefect_runtime
 
     check_out(data, splat, out, exports)
-    with prefect_runtime(Store(store), home=home() / "prefect"):
+    known = Store(store)
+    known.check()
+    with prefect_runtime(known, home=home() / "prefect"):
         answers = ground_own(data, splat, method, out, store, exports, rgb, progress, chosen)
     table = Table("query", "found", "Gaussians", "location", "files", box=None)
     for answer in answers:
@@ -140,23 +145,29 @@ def ground(
     console.print(f"Files in {out}", soft_wrap=True, highlight=False, markup=False)
 
 
-def find_result(name: str, root: Path) -> Path:
+def find_result(name: str, root: Path | str) -> Path:
     """The folder of a result: a path, an id under the root, or the newest one.
 
     Raises:
         ConfigError: if there is none.
+        RemoteError: if the root is a URL that does not answer.
     """
-    known = list_results(root)
     if name and (Path(name) / "result.json").exists():
         return Path(name)
-    matches = [path for path in known if path.name == name] if name else known[-1:]
+    place = ResultsPlace(root)
+    known = place.names()
+    matches = [run_id for run_id in known if run_id == name] if name else known[-1:]
     if not matches:
-        raise unknown_name("result", name or "(newest)", [path.name for path in known])
-    return matches[0]
+        raise unknown_name("result", name or "(newest)", known)
+    return place.folder(matches[0])
 
 
 def show(
-    name: str, root: Path, markdown: bool, sheet: Path | None = None, into: Path | None = None
+    name: str,
+    root: Path | str,
+    markdown: bool,
+    sheet: Path | None = None,
+    into: Path | None = None,
 ) -> None:
     """``gvr show``: the tables of a result again, in a document too, and a sheet of pictures."""
     folder = find_result(name, root)
@@ -173,7 +184,7 @@ def show(
             stream.write(contact_sheet(_one_picture_per_object(folder, result)))
 
 
-def score(name: str, protocols: Sequence[str], store: Path, root: Path) -> None:
+def score(name: str, protocols: Sequence[str], store: Path | str, root: Path | str) -> None:
     """``gvr score``: a result's saved predictions under other protocols."""
     from flows.score import score_again
 
@@ -199,13 +210,16 @@ def _one_picture_per_object(folder: Path, result: Result) -> list[bytes]:
     return [path.read_bytes() for path in paths[::step]]
 
 
-def sync(names: Sequence[str], root: Path, mlflow: str) -> None:
-    """``gvr sync``: fill MLflow from results.
+def sync(names: Sequence[str], root: Path | str, mlflow: str) -> None:
+    """``gvr sync``: fill MLflow from results; those not at their URL yet are copied there first.
 
     Raises:
         SyncError: if MLflow cannot be reached.
+        RemoteError: if the root is a URL that does not answer.
     """
-    folders = [find_result(name, root) for name in names] if names else list_results(root)
+    place = ResultsPlace(root)
+    place.push()
+    folders = [find_result(name, root) for name in names or place.names()]
     if not folders:
         console.print(f"No results under {root}")
     _fill_mlflow(folders, mlflow, must=True)
@@ -239,49 +253,7 @@ def ui(port: int, host: str, exposed: bool) -> None:
     serve_ui(port, host, exposed=exposed)
 
 
-def cache_ls(root: Path, stage: str | None) -> None:
-    """``gvr cache ls``."""
-    listing = Store(root).ls(stage)
-    table = Table("stage", "results", "computed in", "size", box=None)
-    for name, count in listing.stages.items():
-        lines = [line for line in listing.records if line.stage == name]
-        table.add_row(
-            name,
-            str(count),
-            f"{sum(line.seconds for line in lines):.1f} s",
-            _size(sum(line.bytes for line in lines)),
-        )
-    console.print(table)
-    console.print(f"{listing.objects} objects, {_size(listing.object_bytes)}, in {root}")
-    if listing.unreadable:
-        console.print(f"{listing.unreadable} records cannot be read and will be computed again")
-
-
-def cache_verify(root: Path) -> int:
-    """``gvr cache verify``; exit code 1 where something is damaged."""
-    report = Store(root).verify()
-    for problem in report.problems:
-        console.print(f"{problem.path}: {problem.finding}", markup=False, soft_wrap=True)
-    console.print(
-        f"{report.records} results, {report.artifacts} artifacts, "
-        f"{_size(report.bytes_hashed)} read, {len(report.problems)} problems, "
-        f"{report.orphans} objects that no result names"
-    )
-    return 0 if report.sound else 1
-
-
-def cache_gc(root: Path, keep_days: float | None, dry_run: bool) -> None:
-    """``gvr cache gc``."""
-    report = Store(root).gc(keep_days=keep_days, dry_run=dry_run)
-    verb = "would go" if report.dry_run else "removed"
-    console.print(
-        f"{verb}: {report.records} results, {report.objects} objects, "
-        f"{report.temporary} unfinished files; {_size(report.bytes_freed)}. "
-        f"{report.spared} young objects spared."
-    )
-
-
-def doctor(store: Path) -> int:
+def doctor(store: Path | str) -> int:
     """``gvr doctor``; exit code 1 where something needed does not work."""
     from flows.doctor import examine
 
@@ -293,7 +265,3 @@ def doctor(store: Path) -> int:
         worst = max(worst, 1 if finding.state == "bad" else 0)
     console.print(table)
     return worst
-
-
-def _size(count: int) -> str:
-    return f"{count / 1e6:.1f} MB" if count < 1e9 else f"{count / 1e9:.2f} GB"

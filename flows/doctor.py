@@ -33,11 +33,11 @@ class Finding:
     text: str
 
 
-def examine(store: Path) -> Iterator[Finding]:
+def examine(store: Path | str) -> Iterator[Finding]:
     """Look at everything, one finding after the other; a failure becomes a finding.
 
     Args:
-        store: Root of the artifact store.
+        store: Root of the artifact store, or its URL.
     """
     checks: dict[str, Callable[[], tuple[State, str]]] = {
         "python": _python,
@@ -91,12 +91,22 @@ def _processor() -> tuple[State, str]:
     return "ok", f"{seen.cpu_count} x {seen.processor}; {gpu}"
 
 
-def _store(root: Path) -> tuple[State, str]:
+def _store(location: Path | str) -> tuple[State, str]:
+    from tasks.store import Store
+
+    store = Store(location)
+    store.check()
+    root = store.root
     existing = next(path for path in [root, *root.absolute().parents] if path.exists())
     free = shutil.disk_usage(existing).free
     if not os.access(existing, os.W_OK):
         return "bad", f"{existing} cannot be written to"
-    return ("ok" if free > SPACE_NEEDED else "note"), f"{root}, {free / 1e9:.0f} GB free"
+    text = f"{root}, {free / 1e9:.0f} GB free"
+    if store.remote is not None:
+        text += f"; shared: {store.url}"
+        if store.remote.resting:
+            return "note", f"{text}, which does not answer"
+    return ("ok" if free > SPACE_NEEDED else "note"), text
 
 
 def _renderer() -> tuple[State, str]:

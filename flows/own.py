@@ -55,7 +55,7 @@ def ground_own(
     splat: Path,
     method: str,
     out: Path,
-    store: Path,
+    store: Path | str,
     exports: Sequence[str] = ("target",),
     dye: RGB = RED,
     progress: bool = False,
@@ -79,7 +79,7 @@ def ground_own(
         splat: The file that ``data`` was read from; exports copy its rows.
         method: Name of the method.
         out: Folder of the files; made where missing.
-        store: Root of the artifact store.
+        store: Root of the artifact store, or its URL.
         exports: Kinds of export.
         dye: Colour of the target in ``dyed``, channels in [0, 1].
         progress: Show progress bars.

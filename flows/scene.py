@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from gvr_core.models.oracle import OracleWorld
 from gvr_core.models.registry import ModelConfig, build_models, needs_world
 from gvr_core.rendering import get_renderer
 from gvr_core.scene import Query
-from reports.record import QueryOutcome, Row, SceneResult, StageTiming
+from reports.record import Damage, QueryOutcome, Row, SceneResult, StageTiming
 from tasks.evaluation import Scored
 from tasks.groundings import Answer, unpack_answers
 from tasks.stage import StageRun
@@ -115,7 +115,7 @@ def scene_flow(
         suite: The suite's configuration as JSON values.
         dataset: Name of the data set.
         scene: Name of the scene.
-        store: Root of the artifact store.
+        store: Root of the artifact store, or its URL.
         progress: Show progress bars.
     """
     config = SuiteConfig.model_validate(suite)
@@ -259,6 +259,9 @@ def _timing(run: StageRun) -> StageTiming:
         peak_bytes=record.peak_bytes,
         state="cached" if run.cached else "computed",
         key=record.key,
+        damage=tuple(Damage(**asdict(found)) for found in run.notes.findings),
+        fetched=run.notes.fetched,
+        unshared=run.notes.unshared,
     )
 
 

@@ -15,7 +15,8 @@ from gvr_core.protocols import protocol
 from gvr_core.rendering import get_renderer
 from reports.environment import describe_environment
 from reports.record import Result, Row, SceneResult
-from reports.result_io import new_run_id, read_result, write_result
+from reports.result_io import new_run_id, read_result
+from reports.results_place import ResultsPlace
 from tasks.evaluation import score_scene
 from tasks.groundings import unpack_answers
 from tasks.store import Store
@@ -24,14 +25,16 @@ SCORED_FROM, PROTOCOLS = "scored_from", "scored_protocols"
 """Keys that a result scored again has in its configuration besides."""
 
 
-def score_again(folder: Path, protocols: Sequence[str], store: Path, results: Path) -> Path:
+def score_again(
+    folder: Path, protocols: Sequence[str], store: Path | str, results: Path | str
+) -> Path:
     """Evaluate the saved predictions of a result, and write another result.
 
     Args:
         folder: The result's folder.
         protocols: Ids of the protocols.
-        store: Root of the artifact store that the result was made in; predictions lie there.
-        results: Folder of the results.
+        store: The artifact store that the result was made in; predictions lie there.
+        results: Folder of the results, or its URL.
 
     Returns:
         Folder of the new result. Its configuration says which result it was scored from.
@@ -72,7 +75,7 @@ def score_again(folder: Path, protocols: Sequence[str], store: Path, results: Pa
         environment=describe_environment(),
         scenes=tuple(scenes),
     )
-    return write_result(results / again.run_id, again, tuple(rows), {})
+    return ResultsPlace(results).write(again, tuple(rows))
 
 
 def _suite_part(result: Result) -> dict[str, object]:

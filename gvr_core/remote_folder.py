@@ -28,9 +28,8 @@ _FOLDERS = {"file", "local", "sftp", "ssh", "ftp", "smb", "webdav", "hdfs", "arr
 """Protocols with real folders, which have to be made, and where a file is visible while it is
 written; with all others a put makes the whole object or none."""
 
-_PIECES: dict[str, dict[str, int]] = dict.fromkeys(
-    ("s3", "s3a"), {"chunksize": 8 * 2**20, "max_concurrency": 4}
-)
+_S3_PIECES = {"chunksize": 8 * 2**20, "max_concurrency": 4}
+_PIECES: dict[str, dict[str, int]] = {"s3": _S3_PIECES, "s3a": _S3_PIECES}
 """What bounds the memory of a transfer, by protocol."""
 
 _TIMES = ("LastModified", "mtime", "last_modified", "updated", "created")
@@ -157,6 +156,16 @@ class RemoteFolder:
                 if name.startswith(f"{under}/") and _NAME.fullmatch(name):
                     entries.append(_entry(name, info))
             return sorted(entries, key=lambda entry: entry.name)
+
+    def names_of(self, file: str) -> list[str]:
+        """All ``<folder>/<file>`` directly below this folder, sorted; listings are not believed."""
+        with self._telling("list", file) as (system, path):
+            system.invalidate_cache()
+            start = path[: len(path) - len(file)]
+            found = system.glob(f"{start}*/{file}")
+            system.invalidate_cache()
+            names = [str(full).removeprefix(start) for full in found]
+            return sorted(n for n in names if _NAME.fullmatch(n) and n.count("/") == 1)
 
     # Writing
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 
 from reports.aggregate import Aggregate
 from reports.formats import NONE, seconds_text
 from reports.headline import dataset_names
-from reports.record import Result, SceneResult
+from reports.record import Damage, Result, SceneResult, StageTiming
 from reports.sheet import Sheet
+
+MOST_NAMED = 5
+"""So many damaged files are named below a table."""
 
 
 def timing_sheets(result: Result) -> list[Sheet]:
@@ -57,7 +61,7 @@ def _stage_sheet(scene: SceneResult) -> Sheet:
     rows: list[tuple[str, ...]] = [
         (
             stage.stage,
-            stage.state,
+            stage.shown_state,
             seconds_text(stage.seconds),
             seconds_text(stage.cpu_seconds),
             f"{stage.peak_bytes / 1e6:,.0f}",
@@ -105,3 +109,68 @@ def refusal_sheets(result: Result, summary: Aggregate) -> list[Sheet]:
                 )
             )
     return sheets
+
+
+def cache_sheets(result: Result) -> list[Sheet]:
+    """How many stages were computed, cached, fetched, and found damaged; none without a stage.
+
+    One row for all scenes, and one for each where something was damaged or not shared. Damaged
+    files are named below, the first few of them.
+    """
+    scenes = [scene for scene in result.scenes if scene.stages]
+    if not scenes:
+        return []
+    rows = [("all", "all", *_cache_counts([stage for s in scenes for stage in s.stages]))]
+    for scene in scenes:
+        if any(stage.damage or stage.unshared for stage in scene.stages):
+            place = f"{scene.dataset} / {scene.scene}"
+            rows.append((scene.method, place, *_cache_counts(scene.stages)))
+    return [
+        Sheet(
+            title="stages computed and cached, and what was found damaged in the store",
+            columns=(
+                *("method", "scene", "computed", "cached", "fetched"),
+                *("damaged artifacts", "damaged records", "recomputed for it", "not shared"),
+            ),
+            rows=tuple(rows),
+            n_names=2,
+            notes=_cache_notes(result),
+        )
+    ]
+
+
+def _cache_counts(stages: Sequence[StageTiming]) -> tuple[str, ...]:
+    damage = _damaged_files(stages)
+    counts = (
+        sum(stage.state == "computed" for stage in stages),
+        sum(stage.state == "cached" for stage in stages),
+        sum(stage.fetched for stage in stages),
+        sum(found.what == "artifact" for found in damage),
+        sum(found.what == "record" for found in damage),
+        sum(bool(stage.damage) and stage.state == "computed" for stage in stages),
+        sum(bool(stage.unshared) for stage in stages),
+    )
+    return tuple(map(str, counts))
+
+
+def _damaged_files(stages: Sequence[StageTiming]) -> list[Damage]:
+    """Each damaged file once, however many stages name it."""
+    return list({(d.where, d.path): d for stage in stages for d in stage.damage}.values())
+
+
+def _cache_notes(result: Result) -> tuple[str, ...]:
+    stages = [stage for scene in result.scenes for stage in scene.stages]
+    found = _damaged_files(stages)
+    artifacts = sum(damage.what == "artifact" for damage in found)
+    healed = sum(bool(stage.damage) and stage.state == "computed" for stage in stages)
+    notes = [
+        f"Found damaged or unreadable: {artifacts} artifacts and {len(found) - artifacts} records;"
+        f" {healed} stages computed again for it."
+    ]
+    notes += [f"{damage.where} {damage.path} {damage.finding}" for damage in found[:MOST_NAMED]]
+    if len(found) > MOST_NAMED:
+        notes.append(f"and {len(found) - MOST_NAMED} more, in the result record")
+    reasons = [stage.unshared for stage in stages if stage.unshared]
+    if reasons:
+        notes.append(f"{len(reasons)} stages without the shared store: {reasons[0]}")
+    return tuple(notes)

@@ -51,6 +51,18 @@ class Row(_Record):
     """Metric name -> value. What is undefined is left out, never NaN or infinity."""
 
 
+class Damage(_Record):
+    """A file of the artifact store that was not what it should be when it was looked up."""
+
+    what: Literal["artifact", "record"]
+    where: Literal["local", "shared"]
+    """In the store's folder, or in the shared one behind a URL."""
+    path: str
+    """Relative to the store."""
+    finding: str
+    """``is missing``, ``has 12 bytes instead of 40``, ``has another content than ...``."""
+
+
 class StageTiming(_Record):
     """What one stage of one scene cost when it was computed."""
 
@@ -64,6 +76,19 @@ class StageTiming(_Record):
     """Whether this run computed it."""
     key: str
     """The stage's cache key."""
+    damage: tuple[Damage, ...] = ()
+    """What was found damaged when it was looked up; it was computed again then, or fetched."""
+    fetched: bool = False
+    """Whether it was cached in a shared store alone, and came from there."""
+    unshared: str = ""
+    """Why a shared store could not be asked, or did not get it; empty where nothing failed."""
+
+    @property
+    def shown_state(self) -> str:
+        """The state, and what lies behind it."""
+        if self.damage:
+            return "fetched again (damaged)" if self.state == "cached" else "recomputed (damaged)"
+        return "fetched" if self.fetched else self.state
 
 
 class QueryOutcome(_Record):

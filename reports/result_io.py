@@ -123,6 +123,24 @@ def list_results(root: Path) -> list[Path]:
     return sorted(path.parent for path in root.glob(f"[!.]*/{RESULT_FILE}"))
 
 
+def read_sums(folder: Path) -> dict[str, str]:
+    """Name in a result's folder -> sha256, as they were written with it.
+
+    Raises:
+        ResultError: for sums that are missing or not of that form.
+    """
+    path = folder / SUMS_FILE
+    sums = {}
+    for number, line in enumerate(_read_text(path).splitlines(), start=1):
+        digest, _, name = line.partition("  ")
+        if not name:
+            raise ResultError(
+                "not a sum", path=path, place=f"line {number}", accepted="<sha256>  <file>"
+            )
+        sums[name] = digest
+    return sums
+
+
 def rows_table(rows: Sequence[Row]) -> pa.Table:
     """The rows as a table: the fields of `Row`, each metric as a column ``metric.<name>``.
 
@@ -187,15 +205,7 @@ def _validate(kind: type[_Record], path: Path, content: Any, line: int | None = 
 
 
 def _check_sums(folder: Path, names: Sequence[str]) -> None:
-    path = folder / SUMS_FILE
-    sums = {}
-    for number, line in enumerate(_read_text(path).splitlines(), start=1):
-        digest, _, name = line.partition("  ")
-        if not name:
-            raise ResultError(
-                "not a sum", path=path, place=f"line {number}", accepted="<sha256>  <file>"
-            )
-        sums[name] = digest
+    sums = read_sums(folder)
     for name in names:
         found = file_digest(folder / name)
         if sums.get(name) != found:

@@ -14,7 +14,7 @@ from reports.comparison_sheets import (
     summary_sheets,
     wide_comparison_sheets,
 )
-from reports.cost_sheets import refusal_sheets, stage_sheets, timing_sheets
+from reports.cost_sheets import cache_sheets, refusal_sheets, stage_sheets, timing_sheets
 from reports.headline import dataset_names, method_names
 from reports.paper_table import paper_sheets, published_datasets
 from reports.record import Result, Row
@@ -32,8 +32,8 @@ def overview(result: Result, rows: Sequence[Row]) -> RenderableType:
         paper = paper_sheets(
             result, aggregate(rows, result.scenes), datasets=published_datasets(result)
         )
-        return Group(*map(to_rich, paper), *few)
-    parts = [timing(result), refusals(result, rows), stages(result)]
+        return Group(*map(to_rich, paper), *few, cache(result))
+    parts = [timing(result), refusals(result, rows), stages(result), cache(result)]
     if has_references(result):
         parts = [comparison(result, rows), *parts]
     return Group(headline(result, rows), *parts)
@@ -78,6 +78,11 @@ def timing(result: Result) -> RenderableType:
 def stages(result: Result) -> RenderableType:
     """What each stage cost, and whether this run computed it, for the terminal."""
     return Group(*(to_rich(sheet) for sheet in stage_sheets(result)))
+
+
+def cache(result: Result) -> RenderableType:
+    """What was cached, and what was found damaged and computed again, for the terminal."""
+    return Group(*(to_rich(sheet) for sheet in cache_sheets(result)))
 
 
 def refusals(result: Result, rows: Sequence[Row]) -> RenderableType:

@@ -37,7 +37,8 @@ from tasks.records import DIGEST, Artifact, canonical_json
 DEFAULT_ROOT = Path(".gvr/store")
 
 _SUFFIX = re.compile(r"(\.[a-z0-9]{1,16}){0,2}")
-_OBJECT = re.compile(rf"objects/([0-9a-f]{{2}})/({DIGEST.pattern})({_SUFFIX.pattern})")
+OBJECT = re.compile(rf"objects/([0-9a-f]{{2}})/({DIGEST.pattern})({_SUFFIX.pattern})")
+"""Names of objects, relative to the store: two digits, digest, suffix."""
 
 
 def local_root() -> Path:
@@ -197,7 +198,7 @@ class ObjectStore:
             StoreError: The path is not the one its digest gives, or a folder on it is a symbolic
                 link, which may lead out of the store.
         """
-        match = _OBJECT.fullmatch(artifact.path)
+        match = OBJECT.fullmatch(artifact.path)
         if match is None or match[2] != artifact.digest or match[1] != artifact.digest[:2]:
             raise StoreError(
                 f"artifact path {artifact.path!r} of digest {artifact.digest}"

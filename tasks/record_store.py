@@ -39,7 +39,6 @@ Ending = Literal["sound", "none", "damaged", "unreadable"]
 """How the look-up of a record ended."""
 
 
-
 @dataclass
 class LookupCounts:
     """How the look-ups of one `Store` object ended."""
@@ -138,8 +137,8 @@ class RecordStore(ObjectStore):
         try:
             record = StageRecord.from_json(text)
         except StoreError:
-            finding = "is not a stage record of this schema, or was changed"
-            notes.add("record", "local", name, finding)
+            reason = "is not a stage record of this schema, or was changed"
+            notes.add("record", "local", name, reason)
             return None, "unreadable"
         if (record.stage, record.key) != (stage, key):
             notes.add("record", "local", name, "is the record of another stage or key")

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -34,7 +35,16 @@ from gvr_core.errors import RemoteError, StoreError
 from gvr_core.remote_folder import RemoteFolder
 from gvr_core.remote_url import url_id
 from tasks.findings import Notes
-from tasks.records import Artifact, StageRecord, canonical_json, check_key, check_stage_name
+from tasks.objects import OBJECT
+from tasks.records import (
+    DIGEST,
+    STAGE_NAME,
+    Artifact,
+    StageRecord,
+    canonical_json,
+    check_key,
+    check_stage_name,
+)
 
 MARKER = "gvr-store.json"
 LAYOUT = 1
@@ -53,6 +63,8 @@ SMALL_BYTES = 64 * 1024
 
 TRANSFERS = 4
 """Artifacts of one record that travel at the same time."""
+
+_RECORD = re.compile(rf"records/{STAGE_NAME.pattern}/{DIGEST.pattern}\.json")
 
 log = logging.getLogger(__name__)
 
@@ -123,7 +135,7 @@ class RemoteTier:
     def record(self, stage: str, key: str, notes: Notes) -> StageRecord | None:
         """The record of a stage and key over there; None where there is none that can be used."""
         name = record_name(stage, key)
-        text = self.attempt(lambda: self.folder.read(name, RECORD_BYTES + 1), notes)
+        text = self.attempt(lambda: self.folder.read(name, RECORD_BYTES + 1), notes, None)
         if text is None:
             return None
         finding = "is not a stage record of this schema, or was changed"
@@ -154,17 +166,16 @@ class RemoteTier:
                 finding = "has another content than its digest says"
             return finding
 
-        finding = self.attempt(copy, notes, otherwise="")
-        if finding:
-            notes.add("artifact", "shared", artifact.path, finding)
+        failed = "could not be fetched"
+        finding = self.attempt(copy, notes, failed)
+        if finding not in (None, failed):
+            notes.add("artifact", "shared", artifact.path, str(finding))
             self.damaged(artifact.path)
         return finding is None
 
     # Writing
 
-    def push(
-        self, record: StageRecord, locate: Callable[[Artifact], Path], notes: Notes
-    ) -> bool:
+    def push(self, record: StageRecord, locate: Callable[[Artifact], Path], notes: Notes) -> bool:
         """Put a record's objects, where they are not there yet, and then the record.
 
         Args:
@@ -197,7 +208,7 @@ class RemoteTier:
         if self._health.read_only:
             notes.unshared = notes.unshared or f"{self.url} may only be read"
             return False
-        return self.attempt(put, notes, otherwise=False, writing=True)
+        return self.attempt(put, notes, False, writing=True)
 
     def _needs(self, artifact: Artifact, named: bool) -> bool:
         """Whether an object has to be put, its record being there already or not."""
@@ -223,6 +234,16 @@ class RemoteTier:
         names = [record_name(record.stage, record.key)]
         names += [artifact.path for artifact in record.artifacts.values()]
         return self._known(record.stage, record.key).exists() and not any(map(self._heals, names))
+
+    @staticmethod
+    def is_record(name: str) -> bool:
+        """Whether a file over there has the name of a record."""
+        return _RECORD.fullmatch(name) is not None
+
+    @staticmethod
+    def is_object(name: str) -> bool:
+        """Whether a file over there has the name of an object."""
+        return OBJECT.fullmatch(name) is not None
 
     @staticmethod
     def name_of(record: StageRecord) -> str:
@@ -264,14 +285,14 @@ class RemoteTier:
         self,
         action: Callable[[], _T],
         notes: Notes,
-        otherwise: _T | None = None,
+        otherwise: _T,
         *,
         writing: bool = False,
     ) -> _T:
         """Do something over there; where that fails, note it and return ``otherwise``."""
         if self.resting:
             notes.unshared = notes.unshared or self._health.reason
-            return otherwise  # type: ignore[return-value]
+            return otherwise
         try:
             return action()
         except RemoteError as error:
@@ -280,7 +301,7 @@ class RemoteTier:
                 self._refused_writing(error)
             else:
                 self._failed(error)
-            return otherwise  # type: ignore[return-value]
+            return otherwise
 
     def _failed(self, error: RemoteError) -> None:
         self._health.reason = str(error)

@@ -80,9 +80,7 @@ class SharedStore(RecordStore):
         with lease(remote.folder, name, lambda: self._fetch(remote, stage, key, notes)) as record:
             yield record
 
-    def _fetch(
-        self, remote: RemoteTier, stage: str, key: str, notes: Notes
-    ) -> StageRecord | None:
+    def _fetch(self, remote: RemoteTier, stage: str, key: str, notes: Notes) -> StageRecord | None:
         """Copy a result from the shared store into the local folder.
 
         Returns:

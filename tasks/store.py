@@ -23,6 +23,13 @@ from __future__ import annotations
 from gvr_core.errors import StoreError
 from tasks.record_store import LookupCounts, StageFunction, StageOutput
 from tasks.records import Artifact, StageRecord, canonical_json, stage_key
+from tasks.remote_upkeep import (
+    PushReport,
+    collect_shared_garbage,
+    list_shared,
+    push_everything,
+    verify_shared,
+)
 from tasks.shared_store import SharedStore
 from tasks.upkeep import (
     GRACE_SECONDS,
@@ -39,6 +46,7 @@ __all__ = [
     "GcReport",
     "Listing",
     "LookupCounts",
+    "PushReport",
     "StageFunction",
     "StageOutput",
     "StageRecord",
@@ -62,6 +70,28 @@ class Store(SharedStore):
     def ls(self, stage: str | None = None) -> Listing:
         """The records, newest first, of one stage or of all."""
         return list_records(self, stage)
+
+    def ls_shared(self) -> Listing:
+        """What is in the shared store; see `tasks.remote_upkeep.list_shared`."""
+        return list_shared(self)
+
+    def push_all(self) -> PushReport:
+        """Put into the shared store what it lacks; see `tasks.remote_upkeep.push_everything`."""
+        return push_everything(self)
+
+    def verify_shared(self) -> VerifyReport:
+        """Check the shared store; see `tasks.remote_upkeep.verify_shared`."""
+        return verify_shared(self)
+
+    def gc_shared(
+        self,
+        keep_days: float | None = None,
+        *,
+        dry_run: bool = False,
+        grace_seconds: float = GRACE_SECONDS,
+    ) -> GcReport:
+        """Collect in the shared store; see `tasks.remote_upkeep.collect_shared_garbage`."""
+        return collect_shared_garbage(self, keep_days, dry_run=dry_run, grace_seconds=grace_seconds)
 
     def verify(self) -> VerifyReport:
         """Hash every object that a record names, and count those that none names."""

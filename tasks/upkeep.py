@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from contextlib import nullcontext
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from gvr_core.errors import StoreError
 from gvr_core.locks import file_lock, remove_if_free
@@ -19,6 +19,8 @@ GRACE_SECONDS = 24 * 3600.0
 """Objects are put before the record that names them: none younger than this is removed."""
 
 _DIGESTS = re.compile(DIGEST.pattern.encode())
+_FETCHING = re.compile(r"fetch-[0-9a-f]{2}")
+"""Locks held while results come from a shared store; a few for all keys, and kept."""
 
 
 class _Report(BaseModel):
@@ -52,10 +54,14 @@ class Listing(_Report):
     objects: int
     """Object files, of all stages."""
     object_bytes: int
+    shared_stages: dict[str, int] = Field(default_factory=dict)
+    """Number of records by stage, where they were counted by their names and not read."""
 
     @property
     def stages(self) -> dict[str, int]:
         """Number of records by stage, in alphabetical order."""
+        if self.shared_stages:
+            return dict(sorted(self.shared_stages.items()))
         names = sorted(line.stage for line in self.records)
         return {name: names.count(name) for name in dict.fromkeys(names)}
 
@@ -232,7 +238,8 @@ def collect_garbage(
             if path.relative_to(results_root) not in names
         ]
         locks = _older(free, young)
-        removable = [*records, *objects, *temporary, *results]
+        marks = _marks_without_record(store, kept)
+        removable = [*records, *objects, *temporary, *results, *marks]
         freed = sum(path.lstat().st_size for path in removable)
         if not dry_run:
             # Records first: if this is interrupted, no record is left without its objects.
@@ -254,17 +261,25 @@ def collect_garbage(
     )
 
 
+def _marks_without_record(store: RecordStore, records: Iterable[Path]) -> list[Path]:
+    """What is known of shared stores (`tasks.remote_tier`) about records that are not here."""
+    here = {(path.parent.name, path.stem) for path in records}
+    marks = sorted((store.root / "shared").glob("*/known/*/*"))
+    return [path for path in marks if (path.parent.name, path.name) not in here]
+
+
 def _locks(store: RecordStore) -> tuple[list[float], list[Path]]:
     """When the stages that run now began (seconds since the epoch), and the free lock files."""
     running: list[float] = []
     free: list[Path] = []
     for path in sorted((store.root / "locks").glob("*.lock")):
-        if not DIGEST.fullmatch(path.stem):
+        if not DIGEST.fullmatch(path.stem) and not _FETCHING.fullmatch(path.stem):
             continue
         try:
             began = path.stat().st_mtime
             with file_lock(path, timeout=0):
-                free.append(path)
+                if DIGEST.fullmatch(path.stem):
+                    free.append(path)
         except StoreError:
             running.append(began)
         except FileNotFoundError:
@@ -289,4 +304,9 @@ def _object_files(store: RecordStore) -> list[Path]:
 
 
 def _digests_in(records: Iterable[Path]) -> set[str]:
-    return {match.decode() for path in records for match in _DIGESTS.findall(path.read_bytes())}
+    return set().union(*(digests_in(path.read_bytes()) for path in records))
+
+
+def digests_in(record: bytes) -> set[str]:
+    """Everything in a record's text that could be a digest, whether it can be read or not."""
+    return {match.decode() for match in _DIGESTS.findall(record)}
