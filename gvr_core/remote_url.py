@@ -16,7 +16,6 @@ from urllib.parse import urlsplit
 
 from gvr_core.errors import ConfigError
 
-_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _SQUEEZED = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
 _ACCEPTED = "a folder, or a URL such as s3://bucket/prefix, gs://, abfs://, sftp:// or file:///"
 
@@ -37,7 +36,7 @@ def is_url(location: Path | str) -> bool:
         if _SQUEEZED.match(str(location)) and not location.exists():
             raise ConfigError(f"{str(location)!r}: a URL given as a Path", accepted="a str")
         return False
-    return _URL.match(location) is not None
+    return "://" in location
 
 
 def check_url(url: str) -> str:
