@@ -175,13 +175,21 @@ class RemoteTier:
 
     # Writing
 
-    def push(self, record: StageRecord, locate: Callable[[Artifact], Path], notes: Notes) -> bool:
+    def push(
+        self,
+        record: StageRecord,
+        locate: Callable[[Artifact], Path],
+        notes: Notes,
+        *,
+        new: bool = False,
+    ) -> bool:
         """Put a record's objects, where they are not there yet, and then the record.
 
         Args:
             record: A sound record of the local store.
             locate: Where the file of an artifact is.
             notes: Get the reason where it does not work.
+            new: It was computed now: the record is put without asking whether it is there.
 
         Returns:
             Whether everything is there now.
@@ -190,7 +198,9 @@ class RemoteTier:
         text = canonical_json(record.to_json(), name=name)
 
         def put() -> bool:
-            there = self.folder.read(name, RECORD_BYTES) == text and not self._heals(name)
+            there = (
+                not new and self.folder.read(name, RECORD_BYTES) == text and not self._heals(name)
+            )
 
             def put_object(artifact: Artifact) -> None:
                 if self._needs(artifact, there):
@@ -205,7 +215,7 @@ class RemoteTier:
             self._known(record.stage, record.key).touch()
             return True
 
-        if self._health.read_only:
+        if self.read_only:
             notes.unshared = notes.unshared or f"{self.url} may only be read"
             return False
         return self.attempt(put, notes, False, writing=True)
@@ -275,6 +285,11 @@ class RemoteTier:
         return self._marks / "known" / check_stage_name(stage) / check_key(key)
 
     # Failures
+
+    @property
+    def read_only(self) -> bool:
+        """Whether the other side refused to take something, in this process."""
+        return self._health.read_only
 
     @property
     def resting(self) -> bool:

@@ -46,14 +46,19 @@ class SharedStore(RecordStore):
         if self.remote is not None:
             self.remote.check()
 
-    def push(self, record: StageRecord, notes: Notes | None = None) -> bool:
+    def push(self, record: StageRecord, notes: Notes | None = None, *, new: bool = False) -> bool:
         """Put a record of the local folder, and its objects, into the shared store.
+
+        Args:
+            record: The record.
+            notes: Get the reason where it does not work.
+            new: It was computed now, and is not there.
 
         Returns:
             Whether it is there now; False also where there is no shared store.
         """
         notes = notes if notes is not None else Notes()
-        return self.remote is not None and self.remote.push(record, self.locate, notes)
+        return self.remote is not None and self.remote.push(record, self.locate, notes, new=new)
 
     def _find(self, stage: str, key: str, notes: Notes) -> tuple[StageRecord | None, Ending]:
         record, ending = self._find_here(stage, key, notes)
@@ -66,14 +71,14 @@ class SharedStore(RecordStore):
         return record, ending
 
     def _share(self, record: StageRecord, notes: Notes) -> None:
-        self.push(record, notes)
+        self.push(record, notes, new=True)
 
     @contextmanager
     def _turn(
         self, stage: str, key: str, refresh: bool, notes: Notes
     ) -> Iterator[StageRecord | None]:
         remote = self.remote
-        if remote is None or refresh or remote.resting:
+        if remote is None or refresh or remote.resting or remote.read_only:
             yield None
             return
         name = f"leases/{check_stage_name(stage)}/{check_key(key)}"

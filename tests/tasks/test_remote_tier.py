@@ -328,6 +328,30 @@ def test_an_outage_ends_nothing_is_warned_of_once_and_made_up_for(
         server.kill()
 
 
+def test_a_store_that_takes_nothing_is_read(s3: S3Server, machine, monkeypatch, caplog) -> None:
+    from gvr_core.remote_folder import RemoteFolder
+
+    def refuses(self: RemoteFolder, *arguments: object) -> None:
+        raise remote_tier.RemoteError("Access Denied", refused=True)
+
+    url = f"s3://{s3.new_bucket()}/store"
+    first = machine("a", url)
+    first.check()
+    record, _ = compute(first, [])
+    for method in ("upload", "write", "create"):
+        monkeypatch.setattr(RemoteFolder, method, refuses)
+    reader = machine("b", url)
+    reader.check()
+    assert reader.lookup("demo", DIGEST) == record
+    calls: list[int] = []
+    notes = [Notes(), Notes()]
+    with caplog.at_level(logging.WARNING):
+        assert compute(reader, calls, notes[0], key="1" * 64)[1]
+        assert compute(reader, calls, notes[1], key="2" * 64)[1]
+    assert len([r for r in caplog.records if "takes nothing" in r.message]) == 1
+    assert notes[0].unshared == "Access Denied" and "only be read" in notes[1].unshared
+
+
 def test_what_cannot_work_is_an_error_at_the_start(s3: S3Server, machine, monkeypatch) -> None:
     with pytest.raises(StoreError, match="bucket does not exist"):
         machine("a", "s3://no-such-bucket/store").check()
