@@ -41,7 +41,7 @@ class SceneOutcome:
     result: SceneResult
     rows: tuple[Row, ...] = ()
     pictures: dict[str, Path] = field(default_factory=dict)
-    """Path relative to the result's folder -> the picture in the store."""
+    """Path relative to the result's folder -> the picture, or the evidence, in the store."""
     bad_input: bool = False
     """Whether it failed for something the user gave."""
 
@@ -55,6 +55,7 @@ def make_job(
     limit: int | None = None,
     progress: Progress | None = None,
     name: str = "",
+    evidence: bool = False,
 ) -> SceneJob:
     """One method on one scene, with its models and renderer.
 
@@ -67,6 +68,7 @@ def make_job(
         limit: Only the first so many queries; None for all.
         progress: Shows progress bars; None shows none.
         name: Stands beside the bars; the method's own name where empty.
+        evidence: Keep the steps behind each answer as small pictures.
 
     Raises:
         ConfigError: for a method, model or renderer that is not known, or oracle models on a
@@ -82,7 +84,7 @@ def make_job(
     label = f"{data.scene.dataset}/{data.scene.name} · {name or method.shown_name}"
     bars = progress or Progress(shown=False)
     track = partial(bars.track, label=label)
-    return SceneJob(store, data, data.queries[:limit], method, tools, track)
+    return SceneJob(store, data, data.queries[:limit], method, tools, track, evidence)
 
 
 def oracle_world(data: SceneData, renderer: str = "numba") -> OracleWorld | None:
@@ -192,6 +194,7 @@ def run_line(
             suite.limit,
             progress,
             line.name,
+            suite.evidence and not line.is_variant,
         )
         runs = run_stages(job)
         return _outcome(line, job, runs)
@@ -211,6 +214,10 @@ def _outcome(line: Line, job: SceneJob, runs: dict[str, StageRun]) -> SceneOutco
             path = f"{folder}/{query.id}.png"
             pictures[path] = job.store.path(runs["evaluate"][f"picture.{query.id}"])
         queries.append(_query_outcome(query, answer, runs, path))
+    evidence = None
+    if "evidence" in runs["evaluate"].artifacts:
+        evidence = f"{'/'.join(('evidence', *map(file_name, names)))}.json"
+        pictures[evidence] = job.store.path(runs["evaluate"]["evidence"])
     scored = job.store.load_json(runs["evaluate"]["rows"])
     rows = tuple(result_rows(scene.dataset, scene.name, line.name, job.queries, scored))
     seconds = [sum(outcome.seconds.values()) for outcome in queries]
@@ -229,6 +236,7 @@ def _outcome(line: Line, job: SceneJob, runs: dict[str, StageRun]) -> SceneOutco
         query_seconds=sum(seconds) / len(seconds) if seconds else 0.0,
         stages=tuple(_timing(run) for run in runs.values()),
         queries=tuple(queries),
+        evidence=evidence,
     )
     return SceneOutcome(result, rows, pictures)
 

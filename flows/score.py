@@ -61,7 +61,12 @@ def score_again(folder: Path, protocols: Sequence[str], store: Path, results: Pa
         # Pictures belong to the first result: nothing was grounded here.
         bare = tuple(query.model_copy(update={"picture": None}) for query in scene.queries)
         data = loaded[key]
-        changes = {"queries": bare, "digests": dict(data.digests), "original": data.original}
+        changes = {
+            "queries": bare,
+            "evidence": None,
+            "digests": dict(data.digests),
+            "original": data.original,
+        }
         scenes.append(scene.model_copy(update=changes))
     again = Result(
         run_id=new_run_id(),

@@ -62,6 +62,9 @@ class SuiteConfig(BaseModel):
     """Only the first so many queries of each scene."""
     exclude_eval_views: bool = False
     """Keep the test views out of the knowledge views, where a data set has them in both."""
+    evidence: bool = True
+    """Keep the steps behind each answer as small pictures, for `gvr report`; variants of
+    ``leave_one_out`` have none."""
     experiment: str = Field(default="gvr-bench", min_length=1)
     """MLflow experiment."""
 

@@ -7,6 +7,7 @@ A result is a folder that is written once, under a temporary name, and never ove
         rows.jsonl        one Row a line: every (scene, method, query, view, protocol)
         rows.parquet      the same rows as a table
         pictures/         the target dyed red in a test view, one per query
+        evidence/         the steps behind the answers, one file per (scene, method)
         SHA256SUMS        sha256 of each file above
 
 The order and meaning of the fields do not change without a new ``schema_version``; a field that
@@ -114,6 +115,8 @@ class SceneResult(_Record):
     """``method`` of the results that these are compared with, on the same scenes."""
     original: bool = False
     """Whether the scene is taken for the data that published numbers are on."""
+    evidence: str | None = None
+    """Path of the evidence for its answers, relative to the result's folder."""
 
     @property
     def shown_label(self) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 from gvr_core.errors import InputError
 from reports.record import Result, Row
 
-PICTURE_NAME = re.compile(r"pictures(/[A-Za-z0-9_-][A-Za-z0-9_.-]{0,199})+")
+PICTURE_NAME = re.compile(r"(pictures|evidence)(/[A-Za-z0-9_-][A-Za-z0-9_.-]{0,199})+")
 
 
 class ResultError(InputError):
@@ -65,9 +65,18 @@ def check_consistent(
     for name in pictures:
         if not PICTURE_NAME.fullmatch(name):
             raise ResultError(
-                f"a picture named {name!r}", path=folder, accepted="pictures/<name>, plain letters"
+                f"a picture named {name!r}",
+                path=folder,
+                accepted="pictures/<name> or evidence/<name>, plain letters",
             )
     for scene in result.scenes:
+        if scene.evidence is not None and scene.evidence not in pictures:
+            raise ResultError(
+                f"no evidence {scene.evidence!r} was given",
+                path=folder,
+                place=f"evidence of ({scene.dataset}, {scene.scene}, {scene.method})",
+                accepted="every file of evidence that the result names",
+            )
         for query in scene.queries:
             if query.picture is not None and query.picture not in pictures:
                 raise ResultError(

@@ -116,6 +116,24 @@ def read_result(folder: Path) -> tuple[Result, list[Row]]:
     return result, rows
 
 
+def read_sums(folder: Path) -> dict[str, str]:
+    """Path of each file of a result -> its sha256.
+
+    Raises:
+        ResultError: for a file of sums that is missing or is none.
+    """
+    path = folder / SUMS_FILE
+    sums = {}
+    for number, line in enumerate(_read_text(path).splitlines(), start=1):
+        digest, _, name = line.partition("  ")
+        if not name:
+            raise ResultError(
+                "not a sum", path=path, place=f"line {number}", accepted="<sha256>  <file>"
+            )
+        sums[name] = digest
+    return sums
+
+
 def list_results(root: Path) -> list[Path]:
     """The results' folders directly under ``root``, oldest name first; none if it is missing."""
     if not root.is_dir():
@@ -187,15 +205,7 @@ def _validate(kind: type[_Record], path: Path, content: Any, line: int | None = 
 
 
 def _check_sums(folder: Path, names: Sequence[str]) -> None:
-    path = folder / SUMS_FILE
-    sums = {}
-    for number, line in enumerate(_read_text(path).splitlines(), start=1):
-        digest, _, name = line.partition("  ")
-        if not name:
-            raise ResultError(
-                "not a sum", path=path, place=f"line {number}", accepted="<sha256>  <file>"
-            )
-        sums[name] = digest
+    sums = read_sums(folder)
     for name in names:
         found = file_digest(folder / name)
         if sums.get(name) != found:

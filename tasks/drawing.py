@@ -41,7 +41,7 @@ def draw_query(
     Returns:
         A PNG.
     """
-    view, mask = _best_view(data, query, answer, renderer)
+    view, mask = best_view(data, query, answer, renderer)
     parts = [
         f"IoU {100 * scored['metrics']['iou']:.0f}"
         for scored in rows
@@ -59,10 +59,11 @@ def draw_query(
     if not answer.found:
         parts.append("nothing found")
     caption = f"“{query.text}”\n{' · '.join(parts)}".strip()
-    return query_picture(_dyed(data, answer, view, renderer), mask, caption)
+    return query_picture(dyed(data, answer, view, renderer), mask, caption)
 
 
-def _dyed(data: SceneData, answer: Answer, view: View, renderer: Renderer) -> NDArray[np.float32]:
+def dyed(data: SceneData, answer: Answer, view: View, renderer: Renderer) -> NDArray[np.float32]:
+    """(H, W, 3) a view of the scene with the answer dyed red."""
     gaussians = data.scene.gaussians
     if answer.given is None:
         return renderer.render(gaussians.dyed(answer.flags, RED), view.camera).rgb
@@ -72,9 +73,10 @@ def _dyed(data: SceneData, answer: Answer, view: View, renderer: Renderer) -> ND
     return mixed
 
 
-def _best_view(
+def best_view(
     data: SceneData, query: Query, answer: Answer, renderer: Renderer
 ) -> tuple[View, NDArray[np.bool_] | None]:
+    """The view that shows most of the object, and the truth in it; see :func:`draw_query`."""
     tests = data.truth.test_views
     if tests and query.target is None:
         return tests[0], None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gvr_core.books import PatchBook
 from gvr_core.localize import Localization, Place, Retrieval
 from gvr_core.methods import Grounding
+from reports.evidence import thumbnail_size, to_webp
 
 BEV, RING = 0, 1
 """Roles of virtual views in the evidence."""
@@ -157,8 +158,48 @@ def _unpack_given(arrays: Mapping[str, NDArray[Any]]) -> dict[int, dict[str, NDA
     return pictures
 
 
+@dataclass(frozen=True, eq=False)
+class VirtualEvidence:
+    """What is kept of a virtual view."""
+
+    query: int
+    """Index of its query."""
+    role: int
+    """:data:`BEV` or :data:`RING`."""
+    webp: bytes
+    """Its picture in small."""
+    size: tuple[int, int]
+    """Width and height of the small picture, pixels."""
+    mask: NDArray[np.bool_] | None
+    """(H, W) what the model cut from the picture at its full size; None where it found nothing."""
+
+
+def unpack_virtual(arrays: Mapping[str, NDArray[Any]]) -> list[VirtualEvidence]:
+    """The virtual views that :func:`pack_groundings` put away, in the order of the queries."""
+    masks = PatchBook.from_arrays(
+        {field.name: arrays[f"evidence.{field.name}"] for field in fields(PatchBook)}
+    )
+    ends = arrays["evidence.picture_ptr"]
+    views = []
+    for i, (query, role) in enumerate(
+        zip(arrays["evidence.query"], arrays["evidence.role"], strict=True)
+    ):
+        height, width = (int(side) for side in masks.sizes[i])
+        cut = masks.masks_of(i)
+        views.append(
+            VirtualEvidence(
+                int(query),
+                int(role),
+                arrays["evidence.pictures"][ends[i] : ends[i + 1]].tobytes(),
+                thumbnail_size(width, height),
+                cut[0].pixels if cut else None,
+            )
+        )
+    return views
+
+
 def _pack_evidence(groundings: Sequence[Grounding]) -> dict[str, NDArray[Any]]:
-    """Cameras and masks of the virtual views; their pictures can be rendered again."""
+    """Cameras, masks and small pictures of the virtual views."""
     views = [
         (query, role, view)
         for query, grounding in enumerate(groundings)
@@ -172,6 +213,7 @@ def _pack_evidence(groundings: Sequence[Grounding]) -> dict[str, NDArray[Any]]:
         [(view.frame.camera.height, view.frame.camera.width) for _, _, view in views],
     )
     cameras = [view.frame.camera for _, _, view in views]
+    pictures = [to_webp(view.frame.rgb) for _, _, view in views]
     return {
         "evidence.query": np.array([query for query, _, _ in views], np.int32),
         "evidence.role": np.array([role for _, role, _ in views], np.int8),
@@ -179,5 +221,7 @@ def _pack_evidence(groundings: Sequence[Grounding]) -> dict[str, NDArray[Any]]:
         "evidence.world_to_camera": np.array(
             [camera.world_to_camera for camera in cameras], np.float64
         ).reshape(-1, 4, 4),
+        "evidence.pictures": np.frombuffer(b"".join(pictures), np.uint8),
+        "evidence.picture_ptr": np.cumsum([0, *map(len, pictures)], dtype=np.int64),
         **{f"evidence.{name}": array for name, array in masks.to_arrays().items()},
     }

@@ -26,6 +26,7 @@ from gvr_core.robust.calibration import calibration_of
 from gvr_core.scene import Query
 from tasks.drawing import draw_query
 from tasks.evaluation import score_scene
+from tasks.evidence import gather_evidence
 from tasks.groundings import (
     pack_groundings,
     pack_localization,
@@ -59,6 +60,8 @@ class SceneJob:
     method: MethodConfig
     tools: Toolbox
     track: Track = field(default=_untracked)
+    evidence: bool = False
+    """Whether the steps behind each answer are kept as small pictures."""
 
     @property
     def label(self) -> str:
@@ -90,6 +93,7 @@ class SceneJob:
             **names,
             "calibration": calibration_of(names["encoder"]).model_dump(mode="json"),
             "protocols": list(self.data.protocols),
+            "evidence": self.evidence,
         }
 
     def digests(self) -> dict[str, str]:
@@ -191,7 +195,7 @@ def compute_segment(store: Store, inputs: Inputs, config: Config, job: SceneJob)
 
 
 def compute_evaluate(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
-    """Score every query, and draw it."""
+    """Score every query, draw it, and gather the evidence for it."""
     answers = unpack_answers(store.load_arrays(inputs["segment"]["groundings"]))
     scores = score_scene(job.data, job.queries, answers, job.tools.renderer)
     artifacts = {"rows": store.put_json("rows", scores.rows)}
@@ -199,6 +203,19 @@ def compute_evaluate(store: Store, inputs: Inputs, config: Config, job: SceneJob
         own = [row for row in scores.rows if row["query"] == query.id]
         picture = draw_query(job.data, query, answer, own, job.tools.renderer)
         artifacts[f"picture.{query.id}"] = store.put_bytes("picture", picture, ".png")
+    if config["evidence"]:
+        has_books = inputs["render"] != NO_BOOKS
+        evidence = gather_evidence(
+            job.data,
+            job.queries,
+            store.load_arrays(inputs["segment"]["groundings"]),
+            store.load_json(inputs["query"]["localizations"]),
+            _view_book(store, inputs) if has_books else None,
+            _patch_book(store, inputs) if has_books else None,
+            job.tools.renderer,
+        )
+        content = evidence.model_dump_json().encode()
+        artifacts["evidence"] = store.put_bytes("evidence", content, ".json")
     left_out = {"unlabelled": scores.unlabelled, "left_out": scores.left_out}
     return StageOutput(artifacts, left_out)
 
@@ -240,7 +257,7 @@ STAGES = (
     PlannedStage(
         Stage(
             "segment",
-            3,
+            4,
             compute_segment,
             (
                 "method",
@@ -256,8 +273,8 @@ STAGES = (
         ("gaussians", "views", "texts", "render", "depth", "masks", "encode", "index", "query"),
     ),
     PlannedStage(
-        Stage("evaluate", 3, compute_evaluate, ("renderer", "protocols")),
-        ("gaussians", "views", "queries", "truth", "segment"),
+        Stage("evaluate", 4, compute_evaluate, ("renderer", "protocols", "evidence")),
+        ("gaussians", "views", "queries", "truth", "render", "masks", "query", "segment"),
     ),
 )
 """The stages, in the order in which they run."""
