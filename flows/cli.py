@@ -14,6 +14,7 @@ from flows import commands
 from flows.datasets_cli import datasets_app
 from flows.models_cli import models_app
 from flows.places import results_root, store_root
+from flows.report_cli import add_report_commands
 from flows.suite import DEFAULT_SUITE
 from gvr_core.errors import GVRError, InputError
 from gvr_core.methods import METHODS
@@ -32,6 +33,7 @@ cache_app = typer.Typer(help="Look after the artifact store.", no_args_is_help=T
 app.add_typer(cache_app, name="cache")
 app.add_typer(models_app, name="models")
 app.add_typer(datasets_app, name="datasets")
+add_report_commands(app)
 
 StoreOption = Annotated[
     Path | None, typer.Option("--store", help="Artifact store; GVR_STORE, else .gvr/store.")

@@ -18,7 +18,7 @@ from reports.headline import (
     scene_names,
 )
 from reports.record import Result
-from reports.sheet import TERMINAL_WIDTH, Sheet
+from reports.sheet import JOINT, TERMINAL_WIDTH, Sheet
 
 _NAME_WIDTH = 16
 _TITLE_WIDTH = 6
@@ -74,6 +74,7 @@ def wide_headline_sheets(
                     rows=tuple(rows),
                     n_names=1,
                     notes=_headline_notes(result, summary, dataset, columns, counted),
+                    parts=tuple(column.title for column in columns),
                 )
             )
     return sheets
@@ -95,7 +96,7 @@ def scene_blocks(scenes: Sequence[str], room: int, least: int = _NUMBER_WIDTH) -
 
 def joined_titles(columns: Sequence[Column]) -> str:
     """The titles of the numbers that stand in one cell."""
-    return " / ".join(column.title for column in columns)
+    return JOINT.join(column.title for column in columns)
 
 
 def subject_of(dataset: str, columns: Sequence[Column], counted: bool = True) -> str:
@@ -170,11 +171,11 @@ def _joined(cells: Sequence[Cell], counted: bool) -> str:
     """The numbers of one place; how many pairs were evaluated is said once where it is the same."""
     counts = [coverage_text(cell) if counted else "" for cell in cells]
     if len(set(counts)) == 1:
-        return " / ".join(map(cell_text, cells)) + (f" ({counts[0]})" if counts[0] else "")
+        return JOINT.join(map(cell_text, cells)) + (f" ({counts[0]})" if counts[0] else "")
     shown = [
         f"{cell_text(c)} ({n})" if n else cell_text(c) for c, n in zip(cells, counts, strict=True)
     ]
-    return " / ".join(shown)
+    return JOINT.join(shown)
 
 
 def _headline_notes(

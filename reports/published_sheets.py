@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from reports.formats import NONE
 from reports.headline_sheets import scene_blocks
 from reports.published import Family, PublishedRow
-from reports.sheet import TERMINAL_WIDTH, Sheet
+from reports.sheet import JOINT, TERMINAL_WIDTH, Sheet
 
 MARK = "†"
 """Stands behind the name of every method whose numbers were published, not measured here."""
@@ -72,11 +72,11 @@ def lay_out(
             left out, and scenes that do not fit in a further sheet.
         unit: Of the numbers.
     """
-    title = f"{subject}: {' / '.join(titles)}, {unit}"
+    title = f"{subject}: {JOINT.join(titles)}, {unit}"
     if wide:
-        rows = [(name, *(" / ".join(place) for place in places)) for name, places in lines]
+        rows = [(name, *(JOINT.join(place) for place in places)) for name, places in lines]
         columns = ("method", *scenes, "overall")
-        return [Sheet(title, columns, tuple(rows), 1, tuple(notes))]
+        return [Sheet(title, columns, tuple(rows), 1, tuple(notes), tuple(titles))]
     names = min(_NAME_WIDTH, max(len("method"), *(len(name) for name, _ in lines)))
     blocks = scene_blocks(scenes, TERMINAL_WIDTH - names - max(6, *map(len, titles)) - 15)
     sheets, start = [], 0

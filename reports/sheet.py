@@ -10,6 +10,9 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+JOINT = " / "
+"""Between the numbers of one cell."""
+
 TERMINAL_WIDTH = 80
 """Columns of the narrowest terminal that tables are made for."""
 
@@ -24,6 +27,9 @@ class Sheet:
     n_names: int
     """Number of leading columns that hold names: aligned left, and folded where too long."""
     notes: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
+    """Names of the numbers in each cell that is no name, where one holds several, joined by
+    :data:`JOINT`; a page can then give each a column of its own."""
 
 
 def printable(text: str) -> str:

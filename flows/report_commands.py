@@ -1,0 +1,111 @@
+"""``gvr report`` and ``gvr compare``: pages and verdicts made from results."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from flows.commands import find_result
+from flows.places import home
+from gvr_core.atomic import atomic_write
+from gvr_core.errors import ConfigError
+from reports.result_io import read_result
+from reports.run_comparison_sheets import number_sheets, query_sheets
+from reports.sheet import to_rich
+
+console = Console()
+warnings = Console(stderr=True)
+
+
+def report(name: str, root: Path, out: Path | None, most_megabytes: float) -> Path:
+    """``gvr report``: a result as one HTML file.
+
+    Returns:
+        The file.
+
+    Raises:
+        ConfigError: for a result that is not there.
+        ResultError: for one that is damaged, or a file that cannot be written.
+    """
+    from reports.html_report import write_report_text
+
+    if not most_megabytes >= 0:
+        raise ConfigError(f"--max-mb is {most_megabytes}", accepted="0 or more")
+    folder = find_result(name, root)
+    path = home() / "reports" / f"{folder.name}.html" if out is None else out
+    write_page(path, write_report_text(folder, int(most_megabytes * 1e6)))
+    size = path.stat().st_size / 1e6
+    console.print(f"Report: {path} ({size:.1f} MB)", soft_wrap=True, highlight=False, markup=False)
+    return path
+
+
+def write_page(path: Path, text: str) -> None:
+    """Write a page, whole or not at all.
+
+    Raises:
+        ConfigError: for a path that cannot be written.
+    """
+    try:
+        with atomic_write(path) as stream:
+            stream.write(text.encode("utf-8"))
+    except OSError as error:
+        raise ConfigError(
+            f"cannot be written: {error.strerror}",
+            path=path,
+            accepted="a file in a folder of yours",
+        ) from error
+
+
+def compare(
+    first: str,
+    second: str,
+    root: Path,
+    fail_if_drop: float | None,
+    methods: Sequence[str],
+    common: bool,
+    as_json: bool,
+    html: Path | None,
+) -> int:
+    """``gvr compare``: what changed from one result to another.
+
+    Returns:
+        Exit code: 0; 1 where a headline number dropped by more than ``fail_if_drop`` points.
+
+    Raises:
+        ConfigError: for a result or a method that is not there.
+        ResultError: for results that cannot be compared.
+    """
+    from reports.run_comparison import as_json as to_json
+    from reports.run_comparison import compare_runs
+
+    if fail_if_drop is not None and not (math.isfinite(fail_if_drop) and fail_if_drop >= 0):
+        raise ConfigError(f"--fail-if-drop is {fail_if_drop}", accepted="points, 0 or more")
+    folders = find_result(first, root), find_result(second, root)
+    a, b = (read_result(folder) for folder in folders)
+    found = compare_runs(a, b, methods, common)
+    if as_json:
+        print(json.dumps(to_json(found, fail_if_drop), indent=1, allow_nan=False))
+    else:
+        for text in (*found.left_out, *found.notes):
+            warnings.print(f"note: {text}", style="yellow", markup=False, soft_wrap=True)
+        for sheet in (*number_sheets(found), *query_sheets(found)):
+            console.print(to_rich(sheet))
+    if html is not None:
+        from reports.html_compare import compare_page
+
+        write_page(html, compare_page(found, folders, fail_if_drop))
+        warnings.print(f"Page: {html}", soft_wrap=True, highlight=False, markup=False)
+    dropped = [] if fail_if_drop is None else found.dropped(fail_if_drop)
+    for number in dropped:
+        warnings.print(
+            f"dropped: {number.dataset} · {number.method} · {number.column.title}: "
+            f"{100 * number.a:.1f} to {100 * number.b:.1f}, {number.drop:.1f} points",
+            style="red",
+            markup=False,
+            soft_wrap=True,
+        )
+    return 1 if dropped else 0

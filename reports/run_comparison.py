@@ -1,0 +1,418 @@
+"""Two runs side by side: what changed from one to the other, query by query.
+
+Only like is compared with like. A number is subtracted from a number of the same protocol, in the
+same version, over the same (query, view) pairs of the same lines; where the runs differ in any of
+these, that is named, and nothing is compared unless the common part is asked for.
+
+Intervals are those of :mod:`reports.bootstrap`: scenes are drawn anew, with all their queries. The
+sign test beside them is over queries; those of one scene are not independent, which makes its p too
+small. The interval is the one to believe, the test says in how many queries something moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from scipy.stats import binomtest
+
+from gvr_core.errors import some_of, unknown_name
+from reports.aggregate import Aggregate, aggregate
+from reports.bootstrap import Difference, Estimate, paired
+from reports.headline import Column, dataset_names, headings, overall_cell
+from reports.headline_values import column_values, query_values
+from reports.protocol_guard import check_same_protocol
+from reports.record import Result, Row, SceneResult
+from reports.result_check import ResultError
+
+SAME = 1e-9
+"""Values nearer than this are the same: sums in another order move the last bits."""
+
+Line = tuple[str, str]
+"""Data set and method."""
+
+
+@dataclass(frozen=True)
+class SignTest:
+    """In how many queries B is above A, and how likely so many would be by chance."""
+
+    n_better: int
+    n_worse: int
+    n_same: int
+    p: float | None
+    """Two-sided, exact, of the queries that differ; None where none does."""
+
+
+@dataclass(frozen=True)
+class ComparedNumber:
+    """One headline number of one line in both runs."""
+
+    dataset: str
+    method: str
+    column: Column
+    a: float
+    """Overall in A, over what is compared."""
+    b: float
+    difference: Difference
+    """B minus A, over the pairs that both have; the interval is over scenes."""
+    sign: SignTest
+
+    @property
+    def drop(self) -> float:
+        """By how many points B is below A."""
+        return 100.0 * (self.a - self.b)
+
+
+@dataclass(frozen=True)
+class PairedQuery:
+    """One query of one line in both runs."""
+
+    dataset: str
+    scene: str
+    method: str
+    query: str
+    text: str
+    values: tuple[tuple[Column, float, float], ...]
+    """Headline number, its mean over the query's views in A, and in B."""
+
+    @property
+    def change(self) -> float:
+        """The largest change among its numbers, B minus A: what it is sorted by."""
+        return max((b - a for _, a, b in self.values), key=abs)
+
+
+@dataclass(frozen=True)
+class RunComparison:
+    """What two runs have in common, compared."""
+
+    a: Result
+    b: Result
+    numbers: tuple[ComparedNumber, ...]
+    queries: tuple[PairedQuery, ...]
+    left_out: tuple[str, ...]
+    """In what the runs differ, and what was left out of the comparison therefore."""
+    notes: tuple[str, ...]
+    """What should be known of the data that were compared."""
+
+    def dropped(self, points: float) -> list[ComparedNumber]:
+        """The headline numbers that are lower in B by more than so many points."""
+        return [number for number in self.numbers if number.drop > points + SAME]
+
+
+def compare_runs(
+    a: tuple[Result, Sequence[Row]],
+    b: tuple[Result, Sequence[Row]],
+    methods: Sequence[str] = (),
+    common: bool = False,
+) -> RunComparison:
+    """Compare two runs.
+
+    Args:
+        a: The earlier run and its rows.
+        b: The later one.
+        methods: Only these lines; all where left out.
+        common: Compare what both have, where they do not have the same.
+
+    Raises:
+        ConfigError: for a method that neither run has.
+        ResultError: where the runs share no line or no protocol; where they differ in lines,
+            queries or views and ``common`` is not set. It names the difference.
+    """
+    (result_a, rows_a), (result_b, rows_b) = a, b
+    lines_a, lines_b = _lines(result_a), _lines(result_b)
+    for method in methods:
+        if all(method != name for _, name in (*lines_a, *lines_b)):
+            known = sorted({name for _, name in (*lines_a, *lines_b)})
+            raise unknown_name("method", method, known)
+    wanted = [line for line in (*lines_a, *lines_b) if not methods or line[1] in methods]
+    both = [line for line in lines_a if line in lines_b and line in wanted]
+    left_out = [
+        f"{dataset} · {method} only in {'A' if (dataset, method) in lines_a else 'B'}"
+        for dataset, method in dict.fromkeys(wanted)
+        if (dataset, method) not in both
+    ]
+    if not both:
+        raise ResultError(
+            f"{result_a.run_id} and {result_b.run_id} have no line in common: "
+            f"{some_of(left_out, 6)}",
+            accepted="two runs of one method on one data set",
+        )
+    summaries = aggregate(rows_a, result_a.scenes), aggregate(rows_b, result_b.scenes)
+    columns: dict[str, list[Column]] = {}
+    for dataset in dict.fromkeys(dataset for dataset, _ in both):
+        columns[dataset] = _shared_columns(dataset, summaries, left_out)
+    kept_a: list[Row] = []
+    kept_b: list[Row] = []
+    for line in both:
+        mine, theirs, said = _shared_rows(
+            [row for row in rows_a if (row.dataset, row.method) == line],
+            [row for row in rows_b if (row.dataset, row.method) == line],
+            columns[line[0]],
+        )
+        failed = _failures(line, result_a, result_b)
+        left_out += [f"{line[0]} · {line[1]}: {text}" for text in (*failed, *said)]
+        kept_a += mine
+        kept_b += theirs
+    if left_out and not common:
+        raise ResultError(
+            f"{result_a.run_id} (A) and {result_b.run_id} (B) were not asked the same: "
+            f"{some_of(left_out, 6)}",
+            accepted="runs over the same queries, views and protocols; --common compares what both "
+            "have, --method one line",
+        )
+    numbers = _numbers(both, columns, (result_a, result_b), (kept_a, kept_b))
+    if not numbers:
+        raise ResultError(
+            f"{result_a.run_id} and {result_b.run_id} have no scored query in common",
+            accepted="two runs over the same queries",
+        )
+    queries = [query for line in both for query in _queries(line, columns[line[0]], kept_a, kept_b)]
+    notes = _data_notes(both, result_a, result_b)
+    return RunComparison(
+        result_a, result_b, tuple(numbers), tuple(queries), tuple(left_out), tuple(notes)
+    )
+
+
+def sign_test(differences: Sequence[float]) -> SignTest:
+    """The exact two-sided sign test; what is the same in both has no say."""
+    better = sum(value > SAME for value in differences)
+    worse = sum(value < -SAME for value in differences)
+    moved = better + worse
+    p = float(binomtest(better, moved, 0.5).pvalue) if moved else None
+    return SignTest(better, worse, len(differences) - moved, p)
+
+
+def as_json(comparison: RunComparison, fail_if_drop: float | None = None) -> dict[str, Any]:
+    """A comparison as JSON values; numbers in their own units, ``drop`` in points."""
+
+    def estimate(found: Estimate) -> dict[str, Any]:
+        return {
+            "value": found.value,
+            "low": found.low,
+            "high": found.high,
+            "n_scenes": found.n_scenes,
+        }
+
+    return {
+        "a": comparison.a.run_id,
+        "b": comparison.b.run_id,
+        "numbers": [
+            {
+                "dataset": n.dataset,
+                "method": n.method,
+                "protocol": n.column.protocol,
+                "metric": n.column.metric,
+                "title": n.column.title,
+                "a": n.a,
+                "b": n.b,
+                "drop": n.drop,
+                "difference": estimate(n.difference.estimate),
+                "n_pairs": n.difference.n_pairs,
+                "better": n.sign.n_better,
+                "worse": n.sign.n_worse,
+                "same": n.sign.n_same,
+                "sign_test_p": n.sign.p,
+            }
+            for n in comparison.numbers
+        ],
+        "queries": [
+            {
+                "dataset": q.dataset,
+                "scene": q.scene,
+                "method": q.method,
+                "query": q.query,
+                "text": q.text,
+                "values": [
+                    {"protocol": c.protocol, "metric": c.metric, "a": x, "b": y}
+                    for c, x, y in q.values
+                ],
+            }
+            for q in comparison.queries
+        ],
+        "left_out": list(comparison.left_out),
+        "notes": list(comparison.notes),
+        "fail_if_drop": fail_if_drop,
+        "dropped": None
+        if fail_if_drop is None
+        else [
+            {"dataset": n.dataset, "method": n.method, "title": n.column.title, "drop": n.drop}
+            for n in comparison.dropped(fail_if_drop)
+        ],
+    }
+
+
+def _lines(result: Result) -> list[Line]:
+    return list(dict.fromkeys((scene.dataset, scene.method) for scene in result.scenes))
+
+
+def _shared_columns(
+    dataset: str, summaries: tuple[Aggregate, Aggregate], left_out: list[str]
+) -> list[Column]:
+    """The headline numbers that both runs have; what only one has is said in ``left_out``."""
+    ours, theirs = (
+        [column for columns in headings(summary, dataset) for column in columns]
+        for summary in summaries
+    )
+    present = [
+        {s.protocol for s in summary.scenes if s.dataset == dataset} for summary in summaries
+    ]
+    shared = [c for c in ours if c in theirs and all(c.protocol in ids for ids in present)]
+    protocols = [
+        [c.protocol for c in columns if c.protocol in ids]
+        for columns, ids in zip((ours, theirs), present, strict=True)
+    ]
+    if not shared:
+        mine, others = (" and ".join(dict.fromkeys(ids)) or "none" for ids in protocols)
+        check_same_protocol(mine, others, f"{dataset}, A and B")
+        raise ResultError(f"{dataset}: neither run has a headline number")
+    for name, ids, other in (("A", *protocols), ("B", *reversed(protocols))):
+        left_out += [
+            f"{dataset}: {protocol} only in {name}"
+            for protocol in dict.fromkeys(ids)
+            if protocol not in other
+        ]
+    return shared
+
+
+def _shared_rows(
+    a: Sequence[Row], b: Sequence[Row], columns: Sequence[Column]
+) -> tuple[list[Row], list[Row], list[str]]:
+    """The rows of each side that the other has too, and in what they differ."""
+    asked = [{(r.scene, r.query): (r.text, r.target, r.absent) for r in side} for side in (a, b)]
+    said = []
+    same: set[tuple[str, str]] = set()
+    changed = []
+    for key in dict.fromkeys((*asked[0], *asked[1])):
+        if asked[0].get(key) == asked[1].get(key):
+            same.add(key)
+        elif key in asked[0] and key in asked[1]:
+            changed.append(f"{key[0]}/{key[1]}")
+    for name, mine, other in (("A", asked[0], asked[1]), ("B", asked[1], asked[0])):
+        alone = [f"{scene}/{query}" for scene, query in mine if (scene, query) not in other]
+        if alone:
+            said.append(f"{len(alone)} queries only in {name} ({some_of(alone)})")
+    if changed:
+        said.append(f"{len(changed)} queries with another text or target ({some_of(changed)})")
+    kept: tuple[list[Row], list[Row]] = ([], [])
+    scored = [
+        {
+            (r.scene, r.query, r.view, r.protocol, column.metric)
+            for r in side
+            for column in columns
+            if r.protocol == column.protocol and column.metric in r.metrics
+            if (r.scene, r.query) in same
+        }
+        for side in (a, b)
+    ]
+    for name, mine, other in (("A", scored[0], scored[1]), ("B", scored[1], scored[0])):
+        alone = sorted({f"{s}/{q} in {v or '3D'}" for s, q, v, *_ in mine - other})
+        if alone:
+            said.append(f"{len(mine - other)} scores only in {name} ({some_of(alone)})")
+    pairs = scored[0] & scored[1]
+    for side, rows in zip(kept, (a, b), strict=True):
+        for row in rows:
+            if (row.scene, row.query) not in same:
+                continue
+            metrics = {
+                metric: value
+                for metric, value in row.metrics.items()
+                if (row.scene, row.query, row.view, row.protocol, metric) in pairs
+            }
+            side.append(row.model_copy(update={"metrics": metrics}))
+    return kept[0], kept[1], said
+
+
+def _failures(line: Line, a: Result, b: Result) -> list[str]:
+    """Scenes on which a line failed in one run alone."""
+    failed = [
+        {s.scene for s in result.scenes if (s.dataset, s.method) == line and s.status == "failed"}
+        for result in (a, b)
+    ]
+    return [
+        f"failed in {name} on {some_of(sorted(mine - other))}"
+        for name, mine, other in (("A", *failed), ("B", *reversed(failed)))
+        if mine - other
+    ]
+
+
+def _numbers(
+    lines: Sequence[Line],
+    columns: dict[str, list[Column]],
+    results: tuple[Result, Result],
+    rows: tuple[Sequence[Row], Sequence[Row]],
+) -> list[ComparedNumber]:
+    numbers = []
+    summaries = [aggregate(side) for side in rows]
+    for dataset, method in lines:
+        own = [[r for r in side if (r.dataset, r.method) == (dataset, method)] for side in rows]
+        scenes = list(dict.fromkeys(r.scene for r in own[0]))
+        for column in columns[dataset]:
+            a, b = (
+                overall_cell(result, summary, dataset, method, column)
+                for result, summary in zip(results, summaries, strict=True)
+            )
+            difference = paired(
+                column_values(own[1], column, scenes), column_values(own[0], column, scenes)
+            )
+            if difference is None or a.state != "value" or b.state != "value":
+                continue
+            before, after = (query_values(side, column) for side in own)
+            moved = [after[key] - before[key] for key in before if key in after]
+            numbers.append(
+                ComparedNumber(
+                    dataset, method, column, a.value, b.value, difference, sign_test(moved)
+                )
+            )
+    return numbers
+
+
+def _queries(
+    line: Line, columns: Sequence[Column], rows_a: Sequence[Row], rows_b: Sequence[Row]
+) -> list[PairedQuery]:
+    own = [[r for r in side if (r.dataset, r.method) == line] for side in (rows_a, rows_b)]
+    texts = {(row.scene, row.query): row.text for row in own[0]}
+    values = [[query_values(side, column) for column in columns] for side in own]
+    found = []
+    for (scene, query), text in texts.items():
+        pairs = tuple(
+            (column, before[scene, query], after[scene, query])
+            for column, before, after in zip(columns, *values, strict=True)
+            if (scene, query) in before and (scene, query) in after
+        )
+        if pairs:
+            found.append(PairedQuery(line[0], scene, line[1], query, text, pairs))
+    return found
+
+
+def _data_notes(lines: Sequence[Line], a: Result, b: Result) -> list[str]:
+    """Parts of the data, and models, that are not those of the other run."""
+
+    def by_place(result: Result) -> dict[tuple[str, str, str], SceneResult]:
+        return {
+            (s.dataset, s.scene, s.method): s
+            for s in result.scenes
+            if (s.dataset, s.method) in lines and s.status == "completed"
+        }
+
+    mine, theirs = by_place(a), by_place(b)
+    changed: dict[str, list[str]] = {}
+    for key in mine.keys() & theirs.keys():
+        for kind, before, after in (
+            ("data", mine[key].digests, theirs[key].digests),
+            ("models", mine[key].models, theirs[key].models),
+        ):
+            parts = [p for p in (*before, *after) if before.get(p) != after.get(p)]
+            for part in dict.fromkeys(parts):
+                place = f"{key[0]}/{key[1]}" if kind == "data" else f"{key[0]} · {key[2]}"
+                changed.setdefault(f"{kind}: {part}", []).append(place)
+    return [
+        f"Not the same {what} in {some_of(sorted(set(places)))}."
+        for what, places in sorted(changed.items())
+    ]
+
+
+def datasets_of(comparison: RunComparison) -> list[str]:
+    """The data sets that were compared, in the order of A."""
+    having = {number.dataset for number in comparison.numbers}
+    return [name for name in dataset_names(comparison.a) if name in having]
