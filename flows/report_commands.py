@@ -31,13 +31,13 @@ def report(name: str, root: Path, out: Path | None, most_megabytes: float) -> Pa
         ConfigError: for a result that is not there.
         ResultError: for one that is damaged, or a file that cannot be written.
     """
-    from reports.html_report import write_report_text
+    from reports.html_report import report_page
 
     if not most_megabytes >= 0:
         raise ConfigError(f"--max-mb is {most_megabytes}", accepted="0 or more")
     folder = find_result(name, root)
     path = home() / "reports" / f"{folder.name}.html" if out is None else out
-    write_page(path, write_report_text(folder, int(most_megabytes * 1e6)))
+    write_page(path, report_page(folder, int(most_megabytes * 1e6)))
     size = path.stat().st_size / 1e6
     console.print(f"Report: {path} ({size:.1f} MB)", soft_wrap=True, highlight=False, markup=False)
     return path

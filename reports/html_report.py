@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from gvr_core.metrics import FLAGS_3D
@@ -24,14 +25,13 @@ from reports.headline import (
     dataset_names,
     headings,
     method_names,
-    overall_cell,
     scene_cell,
     scene_names,
 )
 from reports.headline_sheets import subject_of, wide_headline_sheets
 from reports.headline_values import overall_interval
 from reports.html_charts import Interval, interval_chart, stage_chart
-from reports.html_page import PageTable, Td, cell, name, number, page_tables, render
+from reports.html_page import PageTable, Td, name, number, page_tables, render
 from reports.paper_table import published_sheets
 from reports.record import QueryOutcome, Result, Row, SceneResult
 from reports.result_check import ResultError
@@ -57,7 +57,7 @@ class _Pictures:
     """(scene, method) pairs for which nothing was kept."""
 
 
-def write_report_text(folder: Path, most_bytes: int = MOST_BYTES) -> str:
+def report_page(folder: Path, most_bytes: int = MOST_BYTES) -> str:
     """The report of a result.
 
     Args:
@@ -78,6 +78,7 @@ def write_report_text(folder: Path, most_bytes: int = MOST_BYTES) -> str:
         "report.html.j2",
         title=f"{result.suite} {result.run_id}",
         result=result,
+        created=result.created[:16].replace("T", " "),
         revision=(result.environment.git_revision or "unknown")[:12],
         tiles=_tiles(result, rows, summary, columns),
         failures=[s for s in result.scenes if s.status == "failed"],
@@ -219,8 +220,6 @@ def small_picture(path: Path) -> dict[str, Any]:
     except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
         raise ResultError(f"not a picture: {error}", path=path, accepted="a PNG") from error
     size = thumbnail_size(image.width, image.height, FALLBACK_WIDTH)
-    import numpy as np
-
     return picture_fields(to_webp(np.asarray(image), FALLBACK_WIDTH), size)
 
 
@@ -376,6 +375,7 @@ def _difference_chart(
 
 def _scene_table(result: Result, summary: Aggregate, columns: Sequence[Column]) -> PageTable:
     lines = []
+    several = len(dataset_names(result)) > 1
     for scene in result.scenes:
         peak = max((timing.peak_bytes for timing in scene.stages), default=None)
         done = scene.status == "completed"
@@ -393,7 +393,7 @@ def _scene_table(result: Result, summary: Aggregate, columns: Sequence[Column]) 
             (
                 name(scene.scene),
                 name(scene.method),
-                name(scene.dataset),
+                *([name(scene.dataset)] if several else []),
                 name(scene.status),
                 *numbers,
                 Td("–") if least is None else Td(f"{least[0]}/{least[1]}", least[0] / least[1]),
@@ -407,12 +407,12 @@ def _scene_table(result: Result, summary: Aggregate, columns: Sequence[Column]) 
             )
         )
     heads = (
-        *("scene", "method", "data set", "status"),
+        *("scene", "method", *(["data set"] if several else []), "status"),
         *(_head(column, columns) for column in columns),
         *("evaluated", "queries", "“not here”", "prepare s", "query s", "peak MB"),
         *("Gaussians", "views"),
     )
-    return PageTable("Each method on each scene", (), heads, 4, tuple(lines))
+    return PageTable("Each method on each scene", (), heads, 3 + several, tuple(lines))
 
 
 def _head(column: Column, columns: Sequence[Column]) -> str:
@@ -489,6 +489,3 @@ def _setups(result: Result) -> list[dict[str, Any]]:
         entry["models"].update(scene.models)
         entry["scenes"].append((scene.scene, sorted(scene.digests.items())))
     return list(found.values())
-
-
-__all__ = ["MOST_BYTES", "all_columns", "cell", "overall_cell", "query_rows", "write_report_text"]

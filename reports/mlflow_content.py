@@ -7,12 +7,14 @@ on its children too, because a filter in MLflow's pages drops children that lack
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from reports.aggregate import Aggregate
 from reports.comparison import ComparedLine, compare, has_references
 from reports.headline import HEADLINE, dataset_names, method_names
+from reports.html_report import report_page
 from reports.mlflow_run import (
     MAX_VALUE,
     Point,
@@ -95,6 +97,7 @@ def _benchmark_content(
         files=tuple((folder / name, "") for name in _FILES),
         tables=_tables(result, rows, lines),
         texts={"summary.md": text},
+        made={"report.html": partial(report_page, folder)},
     )
 
 

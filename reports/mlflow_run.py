@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -52,6 +52,8 @@ class RunContent:
     """File name -> columns and data."""
     texts: dict[str, str] = field(default_factory=dict)
     """File name -> text."""
+    made: dict[str, Callable[[], str]] = field(default_factory=dict)
+    """File name -> what makes its text, where that takes a while: only for a run that is filled."""
     datasets: tuple[tuple[str, str, str], ...] = ()
     """(name, digest, JSON of where it comes from)."""
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Run
 
-LAYOUT = 3
+LAYOUT = 4
 """Version of the names and contents of runs; a sync by a newer one fills old runs again."""
 WHOLE_TAG = "gvr.synced"
 """Set last, to the layout and the digest of the record."""
@@ -274,6 +274,8 @@ class _Writer:
             client.log_dict(run_id, table, name)
         for name, text in content.texts.items():
             client.log_text(run_id, text, name)
+        for name, make in content.made.items():
+            client.log_text(run_id, make(), name)
         for path, folder in content.files:
             client.log_artifact(run_id, str(path), folder or None)
         end = self.start + round(content.seconds * 1000)

@@ -50,7 +50,7 @@ MOST_FINALS = 12
 """The answer is drawn in at most so many test views."""
 ABSENT_FINALS = 2
 """An answer about an absent object, in so many: there is no truth to compare it with."""
-CLOUD_POINTS = 1600
+CLOUD_POINTS = 3000
 """So many Gaussians stand for the scene behind the votes."""
 CLOUD_REACH = 1.5
 """Gaussians further from the cameras' middle than this many times their median distance from it
@@ -194,7 +194,7 @@ def _final(
 
 
 def _cloud(gaussians: Gaussians, eyes: Sequence[NDArray[np.float64]]) -> Cloud:
-    """The largest opaque Gaussians near what the cameras look at."""
+    """Gaussians near what the cameras look at: opaque rather than not, small ones too."""
     means = gaussians.means.astype(np.float64)
     middle = np.median(means, axis=0)
     reach = CLOUD_REACH * float(np.median(np.linalg.norm(np.stack(eyes) - middle, axis=1)))
@@ -203,8 +203,7 @@ def _cloud(gaussians: Gaussians, eyes: Sequence[NDArray[np.float64]]) -> Cloud:
     if not len(kept):
         kept = np.arange(len(means))
     # A fixed draw, weighted by what each covers: the same scene looks the same in every report.
-    cover = gaussians.opacities[kept] * np.sort(gaussians.scales[kept], axis=1)[:, 1:].prod(axis=1)
-    weights = np.maximum(cover.astype(np.float64), 1e-30)
+    weights = np.maximum(gaussians.opacities[kept].astype(np.float64), 1e-9)
     n = min(CLOUD_POINTS, len(kept))
     chosen = np.random.default_rng(0).choice(kept, n, replace=False, p=weights / weights.sum())
     colours = np.clip(gaussians.sh[chosen, 0] * SH_C0 + 0.5, 0, 1)

@@ -274,8 +274,9 @@
     if (!own) return box;
     const toggle = make("input", { type: "checkbox", checked: true });
     toggle.addEventListener("input", () => box.classList.toggle("outlines-off", !toggle.checked));
-    box.append(make("p", { class: "small" },
-      mark(MASK), "patch or mask of a model  ", mark(OTHER), "patch that no place got  ", mark(TRUTH), "truth  ", mark(DYE), "the answer  ",
+    const key = (colour, text) => make("span", {}, mark(colour), text);
+    box.append(make("p", { class: "small key" },
+      key(MASK, "patch or mask of a model"), key(OTHER, "patch that supports no place (dashed)"), key(TRUTH, "truth (dashed)"), key(DYE, "the answer"),
       make("label", {}, toggle, " show outlines")));
     let number = 1;
     if (own.votes.length) {
@@ -363,7 +364,8 @@
     const up = unit(all.up), one = unit(cross(up, Math.abs(up[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0])), two = cross(up, one);
     const middle = own.places.length ? own.places[0].location : [0, 1, 2].map((k) => median(own.votes.map((v) => v.point[k])));
     const reach = median(cloud.map((p) => Math.hypot(...[0, 1, 2].map((k) => p.at[k] - middle[k])))) || 1;
-    let yaw = 0.7, pitch = 0.5, zoom = 1;
+    const eye = [0, 1, 2].map((k) => median(all.cameras.map((c) => c.position[k])) - middle[k]);
+    let yaw = Math.atan2(dot(eye, two), dot(eye, one)), pitch = 0.6, zoom = 1.3;
 
     function draw() {
       const g = canvas.getContext("2d"), { width, height } = canvas;
@@ -377,10 +379,11 @@
       g.fillStyle = "#14181d";
       g.fillRect(0, 0, width, height);
       g.globalAlpha = 0.8;
+      const size = Math.max(4, Math.min(16, 6 * zoom));
       const spots = cloud.map((p) => [put(p.at), p.colour]).sort((a, b) => b[0][2] - a[0][2]);
       for (const [[x, y], colour] of spots) {
         g.fillStyle = colour;
-        g.fillRect(x - 3, y - 3, 6, 6);
+        g.fillRect(x - size / 2, y - size / 2, size, size);
       }
       g.globalAlpha = 1;
       g.lineWidth = 2;
