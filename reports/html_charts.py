@@ -55,23 +55,15 @@ def interval_chart(lines: Sequence[Interval], axis: str, factor: float = 100.0) 
         factor: What each number is multiplied with.
     """
     with mpl.rc_context(_settings()):
-        figure = Figure(figsize=(_WIDTH, 0.55 + 0.3 * len(lines)))
-        axes = figure.add_axes((0.36, 0.42 / (0.55 + 0.3 * len(lines)), 0.60, 1))
-        axes.set_position(
-            (
-                0.36,
-                0.45 / (0.55 + 0.3 * len(lines)),
-                0.60,
-                (0.3 * len(lines)) / (0.55 + 0.3 * len(lines)),
-            )
-        )
+        tall = 0.55 + 0.3 * len(lines)
+        figure = Figure(figsize=(_WIDTH, tall))
+        axes = figure.add_axes((0.36, 0.45 / tall, 0.60, 0.3 * len(lines) / tall))
         for y, line in enumerate(lines):
             e = line.estimate
-            value = factor * e.value
+            value = low = high = factor * e.value
             sure = e.low is not None and e.high is not None
-            low, high = (
-                (factor * (e.low or 0.0), factor * (e.high or 0.0)) if sure else (value, value)
-            )
+            if e.low is not None and e.high is not None:
+                low, high = factor * e.low, factor * e.high
             # Away from zero or not is said by the marker too, not by colour alone.
             clear = sure and (low > 0 or high < 0)
             colour = (BLUE if value > 0 else ORANGE) if clear else GREY
@@ -85,7 +77,7 @@ def interval_chart(lines: Sequence[Interval], axis: str, factor: float = 100.0) 
         axes.set_ylim(len(lines) - 0.5, -0.5)
         axes.set_xlabel(axis)
         _plain(axes)
-        return _svg(figure, f"intervals {axis} {len(lines)}")
+        return _svg(figure, f"{axis} {lines}")
 
 
 def stage_chart(
@@ -118,7 +110,7 @@ def stage_chart(
         axes.set_xlabel("seconds a scene, all its queries")
         figure.legend(loc="upper left", ncol=4, frameon=False, bbox_to_anchor=(0.0, 1.0))
         _plain(axes)
-        return _svg(figure, f"stages {len(labels)} {len(stages)}")
+        return _svg(figure, f"{labels} {seconds}")
 
 
 def _settings() -> dict[str, object]:

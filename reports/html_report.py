@@ -15,7 +15,7 @@ from PIL import Image, UnidentifiedImageError
 from gvr_core.metrics import FLAGS_3D
 from reports.aggregate import Aggregate, aggregate
 from reports.bootstrap import LEVEL, N_RESAMPLES
-from reports.comparison import ComparedLine, compare, has_references
+from reports.comparison import compare, has_references
 from reports.comparison_sheets import wide_comparison_sheets
 from reports.cost_sheets import refusal_sheets
 from reports.evidence import picture_fields, read_evidence, thumbnail_size, to_webp
@@ -40,6 +40,8 @@ from reports.sheet import Sheet
 
 MOST_BYTES = 28_000_000
 """Evidence beyond this stays out of the page; the page says so."""
+MOST_BARS = 16
+"""Lines in the chart of stages; the table has all."""
 FALLBACK_WIDTH = 480
 """Widest picture of an answer that has no evidence, pixels."""
 
@@ -345,31 +347,27 @@ def _comparisons(result: Result, rows: Sequence[Row]) -> list[dict[str, Any]]:
         if dataset not in solid:
             continue
         lines = compare(result, rows, dataset)
-        charts = []
-        for chosen in dict.fromkeys(line.model_set for line in lines):
-            group = [line for line in lines if line.model_set == chosen]
-            if chart := _difference_chart(dataset, chosen, group):
-                charts.append(chart)
+        groups: dict[tuple[str, str], list[Interval]] = {}
+        for line in lines:
+            if line.reference is not None and line.difference is not None:
+                shown = Interval(line.label, line.difference.estimate)
+                groups.setdefault((line.model_set, line.reference), []).append(shown)
+        charts = [_difference_chart(dataset, *key, shown) for key, shown in groups.items()]
         tables = page_tables(wide_comparison_sheets(dataset, lines))
         found.append({"dataset": dataset, "charts": charts, "tables": tables})
     return found
 
 
 def _difference_chart(
-    dataset: str, model_set: str, lines: Sequence[ComparedLine]
-) -> dict[str, Any] | None:
-    shown = [
-        Interval(f"{line.label} − {line.reference}", line.difference.estimate)
-        for line in lines
-        if line.difference is not None
-    ]
-    if not shown:
-        return None
+    dataset: str, model_set: str, reference: str, lines: Sequence[Interval]
+) -> dict[str, Any]:
     models = f", {model_set} models" if model_set else ""
+    title = f"{dataset}{models}: 3D IoU against {reference}"
+    texts = [f"{line.label} {estimate_text(line.estimate, '+.1f')}" for line in lines]
     return {
-        "title": f"{dataset}{models}: what each difference is worth",
-        "svg": interval_chart(shown, "difference in 3D IoU, points"),
-        "text": "; ".join(f"{line.label} {estimate_text(line.estimate, '+.1f')}" for line in shown),
+        "title": title,
+        "svg": interval_chart(lines, "difference, points"),
+        "text": f"{title}: {'; '.join(texts)}",
     }
 
 
@@ -458,7 +456,8 @@ def _stage_charts(result: Result) -> list[dict[str, Any]]:
     for dataset in dataset_names(result):
         done = [s for s in result.scenes if s.dataset == dataset and s.stages]
         names = list(dict.fromkeys(t.stage for s in done for t in s.stages))
-        methods = list(dict.fromkeys(s.method for s in done))
+        every = list(dict.fromkeys(s.method for s in done))
+        methods = every[:MOST_BARS]
         table = []
         for method in methods:
             own = [s for s in done if s.method == method]
@@ -474,7 +473,13 @@ def _stage_charts(result: Result) -> list[dict[str, Any]]:
                 for m, row in zip(methods, table, strict=True)
             )
             svg = stage_chart(methods, names, table)
-            charts.append({"title": f"{dataset}: mean over scenes", "svg": svg, "text": text})
+            few = (
+                ""
+                if len(methods) == len(every)
+                else f", the first {MOST_BARS} of {len(every)} lines"
+            )
+            title = f"{dataset}: mean over scenes{few}"
+            charts.append({"title": title, "svg": svg, "text": text})
     return charts
 
 

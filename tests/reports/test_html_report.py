@@ -162,7 +162,9 @@ def test_charts_say_their_numbers_in_words(tmp_path: Path) -> None:
     spoken = [a["aria-label"] for _, a in page.tags if a.get("role") == "img"]
     # 0.2 lower in each query of both scenes; IoUs of 0.1 and 0.15 only fall to 0
     lower = ((0.1 + 0.2 * 3) / 4 + (0.15 + 0.2 * 3) / 4) / 2
-    assert any(label and f"w/o RFL − gvr-paper -{100 * lower:.1f} (" in label for label in spoken)
+    assert any(
+        label and f"against gvr-paper: w/o RFL -{100 * lower:.1f} (" in label for label in spoken
+    )
     assert any(label and "masks 10.0, segment 2.5" in label for label in spoken)
 
 

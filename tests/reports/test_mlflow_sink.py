@@ -117,7 +117,7 @@ def test_artifacts_are_the_records_files(
         for name in ("result.json", "rows.jsonl", "rows.parquet"):
             content = (result_folder / name).read_bytes()
             assert parent[name] == hashlib.sha256(content).hexdigest()
-        assert {"summary.json", "summary.md"} <= set(parent)
+        assert {"summary.json", "summary.md", "report.html"} <= set(parent)
         kitchen = dict(artifacts(client, runs["scene", "kitchen", "gvr-paper"].info.run_id))
     own = {
         name: hashlib.sha256(p).hexdigest() for name, p in pictures.items() if "kitchen-gvr" in name
