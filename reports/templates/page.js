@@ -289,10 +289,13 @@
     const drawn = (view, name) => figure(
       view, [{ path: view.outline, colour: MASK }],
       [name, view.outline === null ? " · nothing found in it" : ""], `${name} with its mask`);
+    const cuts = make("div", { class: "cuts" });
     if (cut("bev").length)
-      box.append(step(number++, "Bird’s-eye view and its mask"), make("div", { class: "strip large" }, ...cut("bev").map((v) => drawn(v, "from above"))));
+      cuts.append(make("div", { class: "bev" }, step(number++, "Bird’s-eye view and its mask"), ...cut("bev").map((v) => drawn(v, "from above"))));
     if (cut("ring").length)
-      box.append(step(number++, "Surrounding views and their masks"), make("div", { class: "strip" }, ...cut("ring").map((v, i) => drawn(v, `ring camera ${i + 1}`))));
+      cuts.append(make("div", { class: "ring" }, step(number++, "Surrounding views and their masks"),
+        make("div", { class: "strip" }, ...cut("ring").map((v, i) => drawn(v, `ring camera ${i + 1}`)))));
+    if (cuts.children.length) box.append(cuts);
     if (own.finals.length) {
       const title = own.finals.some((f) => f.test) ? "The answer in the test views" : "The answer";
       const finals = own.finals.map((final) => {
