@@ -74,8 +74,8 @@ class PairedQuery:
 
     @property
     def change(self) -> float:
-        """The largest change among its numbers, B minus A: what it is sorted by."""
-        return max((b - a for _, a, b in self.values), key=abs)
+        """The mean change of its numbers, B minus A: what it is sorted by."""
+        return sum(b - a for _, a, b in self.values) / len(self.values)
 
 
 @dataclass(frozen=True)
