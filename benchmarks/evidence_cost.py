@@ -16,13 +16,14 @@ from pathlib import Path
 
 from datasets.registry import get_dataset
 from flows.scene import make_job
+from gvr_core.books import PatchBook, ViewBook
 from gvr_core.methods import MethodConfig
 from reports.document import replace_block
 from reports.evidence import to_webp
 from reports.sheet import Sheet, to_markdown
 from tasks.evidence import gather_evidence
 from tasks.groundings import unpack_virtual
-from tasks.stages import _patch_book, _view_book, run_stages
+from tasks.stages import run_stages
 from tasks.store import Store
 
 
@@ -64,7 +65,8 @@ def measured(job) -> tuple[str, ...]:
     query = (runs["query"].record.seconds + runs["segment"].record.seconds) / n
     groundings = job.store.load_arrays(runs["segment"]["groundings"])
     places = job.store.load_json(runs["query"]["localizations"])
-    views, patches = _view_book(job.store, runs), _patch_book(job.store, runs)
+    views = ViewBook.from_arrays(job.store.load_arrays(runs["render"]["views"]))
+    patches = PatchBook.from_arrays(job.store.load_arrays(runs["masks"]["patches"]))
     full = [
         job.tools.renderer.render(job.data.scene.gaussians, job.data.scene.views[0].camera).rgb
         for _ in unpack_virtual(groundings)

@@ -79,8 +79,8 @@ def compare(
         ConfigError: for a result or a method that is not there.
         ResultError: for results that cannot be compared.
     """
-    from reports.run_comparison import as_json as to_json
     from reports.run_comparison import compare_runs
+    from reports.run_comparison_json import as_json as to_json
 
     if fail_if_drop is not None and not (math.isfinite(fail_if_drop) and fail_if_drop >= 0):
         raise ConfigError(f"--fail-if-drop is {fail_if_drop}", accepted="points, 0 or more")

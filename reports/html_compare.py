@@ -10,7 +10,7 @@ from reports.evidence import SceneEvidence, read_evidence
 from reports.formats import estimate_text
 from reports.html_charts import Interval, interval_chart
 from reports.html_page import PageTable, Td, name, number, page_tables, render
-from reports.html_report import small_picture
+from reports.html_pictures import small_picture
 from reports.record import Result
 from reports.result_io import read_sums
 from reports.run_comparison import PairedQuery, RunComparison, datasets_of

@@ -13,24 +13,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from scipy.stats import binomtest
 
 from gvr_core.errors import some_of, unknown_name
-from reports.aggregate import Aggregate, aggregate
-from reports.bootstrap import Difference, Estimate, paired
-from reports.headline import Column, dataset_names, headings, overall_cell
+from reports.aggregate import aggregate
+from reports.bootstrap import Difference, paired
+from reports.headline import Column, dataset_names, overall_cell
 from reports.headline_values import column_values, query_values
-from reports.protocol_guard import check_same_protocol
-from reports.record import Result, Row, SceneResult
+from reports.record import Result, Row
 from reports.result_check import ResultError
+from reports.run_matching import Line, data_notes, failures, shared_columns, shared_rows
 
 SAME = 1e-9
 """Values nearer than this are the same: sums in another order move the last bits."""
-
-Line = tuple[str, str]
-"""Data set and method."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +74,8 @@ class PairedQuery:
 
     @property
     def change(self) -> float:
-        """The largest change among its numbers, B minus A: what it is sorted by."""
-        return max((b - a for _, a, b in self.values), key=abs)
+        """The mean change of its numbers, B minus A: what it is sorted by."""
+        return sum(b - a for _, a, b in self.values) / len(self.values)
 
 
 @dataclass(frozen=True)
@@ -141,17 +137,17 @@ def compare_runs(
     summaries = aggregate(rows_a, result_a.scenes), aggregate(rows_b, result_b.scenes)
     columns: dict[str, list[Column]] = {}
     for dataset in dict.fromkeys(dataset for dataset, _ in both):
-        columns[dataset] = _shared_columns(dataset, summaries, left_out)
+        columns[dataset] = shared_columns(dataset, summaries, left_out)
     kept_a: list[Row] = []
     kept_b: list[Row] = []
     for line in both:
-        mine, theirs, said = _shared_rows(
+        mine, theirs, said = shared_rows(
             [row for row in rows_a if (row.dataset, row.method) == line],
             [row for row in rows_b if (row.dataset, row.method) == line],
             columns[line[0]],
         )
-        failed = _failures(line, result_a, result_b)
-        left_out += [f"{line[0]} · {line[1]}: {text}" for text in (*failed, *said)]
+        failed_there = failures(line, result_a, result_b)
+        left_out += [f"{line[0]} · {line[1]}: {text}" for text in (*failed_there, *said)]
         kept_a += mine
         kept_b += theirs
     if left_out and not common:
@@ -168,7 +164,7 @@ def compare_runs(
             accepted="two runs over the same queries",
         )
     queries = [query for line in both for query in _queries(line, columns[line[0]], kept_a, kept_b)]
-    notes = _data_notes(both, result_a, result_b)
+    notes = data_notes(both, result_a, result_b)
     return RunComparison(
         result_a, result_b, tuple(numbers), tuple(queries), tuple(left_out), tuple(notes)
     )
@@ -183,157 +179,8 @@ def sign_test(differences: Sequence[float]) -> SignTest:
     return SignTest(better, worse, len(differences) - moved, p)
 
 
-def as_json(comparison: RunComparison, fail_if_drop: float | None = None) -> dict[str, Any]:
-    """A comparison as JSON values; numbers in their own units, ``drop`` in points."""
-
-    def estimate(found: Estimate) -> dict[str, Any]:
-        return {
-            "value": found.value,
-            "low": found.low,
-            "high": found.high,
-            "n_scenes": found.n_scenes,
-        }
-
-    return {
-        "a": comparison.a.run_id,
-        "b": comparison.b.run_id,
-        "numbers": [
-            {
-                "dataset": n.dataset,
-                "method": n.method,
-                "protocol": n.column.protocol,
-                "metric": n.column.metric,
-                "title": n.column.title,
-                "a": n.a,
-                "b": n.b,
-                "drop": n.drop,
-                "difference": estimate(n.difference.estimate),
-                "n_pairs": n.difference.n_pairs,
-                "better": n.sign.n_better,
-                "worse": n.sign.n_worse,
-                "same": n.sign.n_same,
-                "sign_test_p": n.sign.p,
-            }
-            for n in comparison.numbers
-        ],
-        "queries": [
-            {
-                "dataset": q.dataset,
-                "scene": q.scene,
-                "method": q.method,
-                "query": q.query,
-                "text": q.text,
-                "values": [
-                    {"protocol": c.protocol, "metric": c.metric, "a": x, "b": y}
-                    for c, x, y in q.values
-                ],
-            }
-            for q in comparison.queries
-        ],
-        "left_out": list(comparison.left_out),
-        "notes": list(comparison.notes),
-        "fail_if_drop": fail_if_drop,
-        "dropped": None
-        if fail_if_drop is None
-        else [
-            {"dataset": n.dataset, "method": n.method, "title": n.column.title, "drop": n.drop}
-            for n in comparison.dropped(fail_if_drop)
-        ],
-    }
-
-
 def _lines(result: Result) -> list[Line]:
     return list(dict.fromkeys((scene.dataset, scene.method) for scene in result.scenes))
-
-
-def _shared_columns(
-    dataset: str, summaries: tuple[Aggregate, Aggregate], left_out: list[str]
-) -> list[Column]:
-    """The headline numbers that both runs have; what only one has is said in ``left_out``."""
-    ours, theirs = (
-        [column for columns in headings(summary, dataset) for column in columns]
-        for summary in summaries
-    )
-    present = [
-        {s.protocol for s in summary.scenes if s.dataset == dataset} for summary in summaries
-    ]
-    shared = [c for c in ours if c in theirs and all(c.protocol in ids for ids in present)]
-    protocols = [
-        [c.protocol for c in columns if c.protocol in ids]
-        for columns, ids in zip((ours, theirs), present, strict=True)
-    ]
-    if not shared:
-        mine, others = (" and ".join(dict.fromkeys(ids)) or "none" for ids in protocols)
-        check_same_protocol(mine, others, f"{dataset}, A and B")
-        raise ResultError(f"{dataset}: neither run has a headline number")
-    for name, ids, other in (("A", *protocols), ("B", *reversed(protocols))):
-        left_out += [
-            f"{dataset}: {protocol} only in {name}"
-            for protocol in dict.fromkeys(ids)
-            if protocol not in other
-        ]
-    return shared
-
-
-def _shared_rows(
-    a: Sequence[Row], b: Sequence[Row], columns: Sequence[Column]
-) -> tuple[list[Row], list[Row], list[str]]:
-    """The rows of each side that the other has too, and in what they differ."""
-    asked = [{(r.scene, r.query): (r.text, r.target, r.absent) for r in side} for side in (a, b)]
-    said = []
-    same: set[tuple[str, str]] = set()
-    changed = []
-    for key in dict.fromkeys((*asked[0], *asked[1])):
-        if asked[0].get(key) == asked[1].get(key):
-            same.add(key)
-        elif key in asked[0] and key in asked[1]:
-            changed.append(f"{key[0]}/{key[1]}")
-    for name, mine, other in (("A", asked[0], asked[1]), ("B", asked[1], asked[0])):
-        alone = [f"{scene}/{query}" for scene, query in mine if (scene, query) not in other]
-        if alone:
-            said.append(f"{len(alone)} queries only in {name} ({some_of(alone)})")
-    if changed:
-        said.append(f"{len(changed)} queries with another text or target ({some_of(changed)})")
-    kept: tuple[list[Row], list[Row]] = ([], [])
-    scored = [
-        {
-            (r.scene, r.query, r.view, r.protocol, column.metric)
-            for r in side
-            for column in columns
-            if r.protocol == column.protocol and column.metric in r.metrics
-            if (r.scene, r.query) in same
-        }
-        for side in (a, b)
-    ]
-    for name, mine, other in (("A", scored[0], scored[1]), ("B", scored[1], scored[0])):
-        alone = sorted({f"{s}/{q} in {v or '3D'}" for s, q, v, *_ in mine - other})
-        if alone:
-            said.append(f"{len(mine - other)} scores only in {name} ({some_of(alone)})")
-    pairs = scored[0] & scored[1]
-    for side, rows in zip(kept, (a, b), strict=True):
-        for row in rows:
-            if (row.scene, row.query) not in same:
-                continue
-            metrics = {
-                metric: value
-                for metric, value in row.metrics.items()
-                if (row.scene, row.query, row.view, row.protocol, metric) in pairs
-            }
-            side.append(row.model_copy(update={"metrics": metrics}))
-    return kept[0], kept[1], said
-
-
-def _failures(line: Line, a: Result, b: Result) -> list[str]:
-    """Scenes on which a line failed in one run alone."""
-    failed = [
-        {s.scene for s in result.scenes if (s.dataset, s.method) == line and s.status == "failed"}
-        for result in (a, b)
-    ]
-    return [
-        f"failed in {name} on {some_of(sorted(mine - other))}"
-        for name, mine, other in (("A", *failed), ("B", *reversed(failed)))
-        if mine - other
-    ]
 
 
 def _numbers(
@@ -383,33 +230,6 @@ def _queries(
         if pairs:
             found.append(PairedQuery(line[0], scene, line[1], query, text, pairs))
     return found
-
-
-def _data_notes(lines: Sequence[Line], a: Result, b: Result) -> list[str]:
-    """Parts of the data, and models, that are not those of the other run."""
-
-    def by_place(result: Result) -> dict[tuple[str, str, str], SceneResult]:
-        return {
-            (s.dataset, s.scene, s.method): s
-            for s in result.scenes
-            if (s.dataset, s.method) in lines and s.status == "completed"
-        }
-
-    mine, theirs = by_place(a), by_place(b)
-    changed: dict[str, list[str]] = {}
-    for key in mine.keys() & theirs.keys():
-        for kind, before, after in (
-            ("data", mine[key].digests, theirs[key].digests),
-            ("models", mine[key].models, theirs[key].models),
-        ):
-            parts = [p for p in (*before, *after) if before.get(p) != after.get(p)]
-            for part in dict.fromkeys(parts):
-                place = f"{key[0]}/{key[1]}" if kind == "data" else f"{key[0]} · {key[2]}"
-                changed.setdefault(f"{kind}: {part}", []).append(place)
-    return [
-        f"Not the same {what} in {some_of(sorted(set(places)))}."
-        for what, places in sorted(changed.items())
-    ]
 
 
 def datasets_of(comparison: RunComparison) -> list[str]:

@@ -6,7 +6,13 @@ from collections.abc import Sequence
 
 from reports.bootstrap import LEVEL, N_RESAMPLES
 from reports.formats import NONE, estimate_text
-from reports.run_comparison import ComparedNumber, PairedQuery, RunComparison, datasets_of
+from reports.run_comparison import (
+    SAME,
+    ComparedNumber,
+    PairedQuery,
+    RunComparison,
+    datasets_of,
+)
 from reports.sheet import Sheet
 
 MOST_QUERIES = 10
@@ -50,10 +56,10 @@ def query_sheets(comparison: RunComparison, most: int = MOST_QUERIES) -> list[Sh
 
 
 def changed(comparison: RunComparison) -> tuple[list[PairedQuery], list[PairedQuery]]:
-    """The queries that got worse, and those that got better, the largest change first."""
+    """The queries whose numbers got worse on average, and better; the largest change first."""
     moved = sorted(comparison.queries, key=lambda query: query.change)
-    worse = [query for query in moved if query.change < 0]
-    better = [query for query in reversed(moved) if query.change > 0]
+    worse = [query for query in moved if query.change < -SAME]
+    better = [query for query in reversed(moved) if query.change > SAME]
     return worse, better
 
 

@@ -17,7 +17,8 @@ from reports.html_compare import compare_page
 from reports.record import Result, Row
 from reports.result_check import ResultError
 from reports.result_io import read_result
-from reports.run_comparison import as_json, compare_runs, sign_test
+from reports.run_comparison import compare_runs, sign_test
+from reports.run_comparison_json import as_json
 from reports.run_comparison_sheets import changed, number_sheets
 
 Run = tuple[Result, list[Row]]
