@@ -36,6 +36,9 @@ def growth_picture(grown: Sequence[Growth], renders: Sequence[RenderTimes]) -> b
         for number, growth in enumerate(g for g in drawn if g.of == of):
             _draw(panel, growth, number)
         panel.set(xlabel=of, ylabel="seconds", xscale="log", yscale="log")
+        sizes = sorted({size for growth in drawn if growth.of == of for size, _ in growth.points})
+        panel.set_xticks(sizes, [f"{size:,}" for size in sizes], rotation=30, fontsize=8)
+        panel.minorticks_off()
         panel.grid(alpha=0.3)
         panel.legend(fontsize=8)
     stream = io.BytesIO()

@@ -140,7 +140,7 @@ def grown(found: Measured) -> str:
         each = f"{1e6 * line.slope:,.3g} us"
         rows.append(
             (growth.what, growth.of, points, f"{line.constant:.3f} s + {each} each",
-             f"{line.explained:.3f}")
+             _explained(growth))
         )  # fmt: skip
     first = min(found.renders, key=lambda times: times.gaussians)
     few = [t for t in found.renders if (t.width, t.height) == (first.width, first.height)]
@@ -163,7 +163,12 @@ def _render_row(renders: list[RenderTimes]) -> tuple[str, ...]:
     line = growth.fit
     shown = "; ".join(f"{size:,}: {s.shown(digits=3)}" for size, s in points)
     text = f"{line.constant:.3f} s + {1e6 * line.slope:,.3g} us each"
-    return growth.what, growth.of, shown, text, f"{line.explained:.3f}"
+    return growth.what, growth.of, shown, text, _explained(growth)
+
+
+def _explained(growth: Growth) -> str:
+    """R^2, which says nothing where two points always lie on a line."""
+    return f"{growth.fit.explained:.3f}" if len(growth.points) > 2 else "–"
 
 
 def overhead(found: Measured) -> str:

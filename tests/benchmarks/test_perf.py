@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import perf
@@ -12,7 +13,7 @@ from hot_spots import HotSpot
 from measuring import Spread
 from overhead import FlowRun, Overhead, Work
 from perf import PAGE, QUICK, Measured, Plan, check_page, write
-from perf_sections import SECTIONS, all_bars
+from perf_sections import SECTIONS, all_bars, grown
 from PIL import Image
 from render_speed import RenderTimes, TwinTimes
 from typer.testing import CliRunner
@@ -91,6 +92,14 @@ def test_the_bar_of_blending_holds_where_it_was_set() -> None:
     blending = next(bar for bar in all_bars(found) if bar.what.startswith("blending"))
     assert blending.measured == pytest.approx(4)
     assert max(times.ratio for times in found.renders) == pytest.approx(30)
+
+
+def test_two_points_are_not_said_to_lie_on_a_line() -> None:
+    found = sample()
+    two = Growth("gvr-paper: prepare", "views", found.grown[0].points[:2])
+    assert "| 1.000 |" in grown(replace(found, grown=[found.grown[0]]))
+    first_row = grown(replace(found, grown=[two])).splitlines()[4]
+    assert first_row.endswith("| – |")
 
 
 def test_quick_is_a_part_of_everything() -> None:
