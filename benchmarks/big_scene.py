@@ -35,6 +35,7 @@ from gvr_core.models.random_encoder import RandomEncoder
 from gvr_core.models.ranked_proposals import RankedProposals
 from gvr_core.models.registry import build_models
 from gvr_core.rendering import get_renderer
+from gvr_core.robust.config import RobustConfig
 from gvr_core.scene import Query, Scene, View
 from reports.document import replace_block
 from reports.environment import describe_environment
@@ -119,7 +120,8 @@ def costs(arguments: argparse.Namespace, folder: Path) -> Iterator[StageCost]:
     data = big_scene(arguments.gaussians, arguments.views, *arguments.size)
     tools = Toolbox(get_renderer("numba"), models_of(arguments.models))
     for method in arguments.methods:
-        config = MethodConfig(method=method)
+        # nothing in the scene has a name: what may refuse is made to answer, and so to segment
+        config = MethodConfig(method=method, robust=RobustConfig(refusal=False))
         queries = data.queries[: arguments.queries]
         job = SceneJob(Store(folder), data, queries, config, tools, _say)
         for stage, run in run_stages(job, last="segment").items():
