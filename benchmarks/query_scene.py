@@ -18,7 +18,7 @@ from render_speed import surface_scene
 from gvr_core.books import Books, DepthBook, PatchBook, SemanticVectorBook, ViewBook
 from gvr_core.cameras import Camera, intrinsics, look_at
 from gvr_core.models.base import Frame, Mask, Models
-from gvr_core.preparation import render_depths
+from gvr_core.preparation import render_books
 from gvr_core.rendering.numba_renderer import NumbaRenderer
 from gvr_core.scene import Query, Scene, View
 
@@ -141,7 +141,7 @@ def query_scene(
     centres, radii = spheres(seed)
     cameras = [_camera(rng, width, height) for _ in range(views)]
     named = tuple(View(f"v{i:04d}", camera) for i, camera in enumerate(cameras))
-    depths = render_depths(drawn, named, NumbaRenderer())
+    _, depths = render_books(drawn, named, NumbaRenderer())
     meanings = rng.normal(size=(THINGS, dim))
     meanings /= np.linalg.norm(meanings, axis=1, keepdims=True)
     seen = [_visible(camera, depths, i, centres, radii) for i, camera in enumerate(cameras)]

@@ -17,7 +17,7 @@ from gvr_core import localize
 from gvr_core.books import DepthBook, PatchBook
 from gvr_core.cameras import birds_eye_camera, unproject_each
 from gvr_core.models.base import Frame, Mask
-from gvr_core.preparation import render_depths
+from gvr_core.preparation import render_books
 from gvr_core.rendering import get_renderer
 from gvr_core.robust.candidates import _same_thing, eroded, place_candidate
 from gvr_core.robust.clusters import geometric_median
@@ -127,7 +127,7 @@ def test_relevancy_in_chunks_of_one_shape(dtype, tmp_path, monkeypatch) -> None:
 def looked_at() -> tuple[Scene, DepthBook, PatchBook]:
     """Two boxes in eight views with their depths, and patches anywhere."""
     scene, _ = two_boxes()
-    depths = render_depths(scene.gaussians, scene.views, get_renderer("numba"))
+    _, depths = render_books(scene.gaussians, scene.views, get_renderer("numba"))
     rng = np.random.default_rng(0)
     masks = [blobs(rng, 72, 96, 14) for _ in scene.views]
     return scene, depths, PatchBook.of_masks(masks, [(72, 96)] * len(scene.views))
