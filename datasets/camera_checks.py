@@ -19,6 +19,9 @@ NamedCameras = list[tuple[str, Camera]]
 MAX_SIDE = 65_535
 """Pixels. A longer side is damage or an attack: JPEG ends here, and renders would fill memory."""
 
+MAX_NAME = 1024
+"""Characters of an image's name: no file system has longer paths in use."""
+
 UNDISTORT = "undistort the pictures first, for example with 'colmap image_undistorter'"
 """What to do about cameras with distortion, for messages."""
 
@@ -49,12 +52,14 @@ def image_name(text: str, path: Path, place: str) -> str:
         or windows.drive
         or not text.isprintable()
         or text != text.strip()
+        or len(text) > MAX_NAME
     ):
         raise CameraFormatError(
             f"the image name {text[:200]!r} cannot be used",
             path=path,
             place=place,
-            accepted="a relative path with forward slashes, without '..'",
+            accepted="a relative path with forward slashes, without '..', of up to"
+            f" {MAX_NAME} printable characters",
         )
     return name.as_posix()
 

@@ -6,6 +6,8 @@ cameras that come from it do not apply it either.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +17,15 @@ from PIL import Image
 
 from gvr_core.atomic import atomic_write
 from gvr_core.errors import DatasetError
+from gvr_core.picture_files import MAX_PIXELS, open_picture
+
+__all__ = ["FORMATS", "MAX_PIXELS", "read_image", "read_mask", "write_png"]
 
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
 """Formats that are decoded, by Pillow's names. MPO is what some phones write as ``.jpg``."""
 
 MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 """Pillow's pixel modes with 8 bits a channel or fewer."""
-
-MAX_PIXELS = 80_000_000
-"""A larger picture is refused before its pixels are decoded: 80 million take 240 MB as RGB.
-It lies below the number at which Pillow itself begins to warn."""
 
 MASK_THRESHOLD = 127
 """Foreground is brighter than this where a data set's own protocol names no other number."""
@@ -44,11 +45,12 @@ def read_image(path: Path | str, *, size: tuple[int, int] | None = None) -> NDAr
         DatasetError: if the file is missing, no picture, damaged, too large, of another size,
             or has more than 8 bits a channel.
     """
-    picture = _decoded(Path(path), size)
-    if _is_transparent(picture):
+    with _decoded(Path(path), size) as picture:
+        if not is_transparent(picture):
+            return np.array(picture.convert("RGB"))
         colour = picture.convert("RGBA")
-        picture = Image.alpha_composite(Image.new("RGBA", colour.size, (0, 0, 0, 255)), colour)
-    return np.array(picture.convert("RGB"))
+        black = Image.new("RGBA", colour.size, (0, 0, 0, 255))
+        return np.array(Image.alpha_composite(black, colour).convert("RGB"))
 
 
 def read_mask(
@@ -68,13 +70,13 @@ def read_mask(
     Raises:
         DatasetError: as :func:`read_image`.
     """
-    picture = _decoded(Path(path), size)
-    if not _is_transparent(picture):
-        return np.array(picture.convert("L")) > threshold
-    colour = picture.convert("RGBA")
-    opaque = np.array(colour.getchannel("A")) > 127
-    foreground: NDArray[np.bool_] = np.array(colour.convert("RGB").convert("L")) > threshold
-    return foreground & opaque
+    with _decoded(Path(path), size) as picture:
+        if not is_transparent(picture):
+            return np.array(picture.convert("L")) > threshold
+        colour = picture.convert("RGBA")
+        opaque = np.array(colour.getchannel("A")) > 127
+        foreground: NDArray[np.bool_] = np.array(colour.convert("RGB").convert("L")) > threshold
+        return foreground & opaque
 
 
 def write_png(path: Path | str, array: NDArray[Any]) -> None:
@@ -103,38 +105,17 @@ def write_png(path: Path | str, array: NDArray[Any]) -> None:
         Image.fromarray(np.ascontiguousarray(pixels)).save(stream, format="PNG")
 
 
-def _decoded(path: Path, size: tuple[int, int] | None) -> Image.Image:
+@contextmanager
+def _decoded(path: Path, size: tuple[int, int] | None) -> Iterator[Image.Image]:
     """A picture with its pixels in memory, once its header is found good."""
-    try:
-        if not path.is_file():
-            raise DatasetError(
-                "this is a folder" if path.is_dir() else "no such file",
-                path=path,
-                accepted=f"a picture: {', '.join(FORMATS)}",
-            )
-        with Image.open(path, formats=FORMATS) as picture:
-            _check_header(picture, path, size)
-            picture.load()  # the pixels stay when the file is closed
-            return picture
-    except DatasetError:
-        raise
-    except Exception as error:
-        # Decoders answer damaged files with errors of many kinds, and none is a fault of ours.
-        raise DatasetError(
-            f"the picture cannot be decoded: {error}",
-            path=path,
-            accepted=f"a whole picture: {', '.join(FORMATS)}",
-        ) from error
+    with open_picture(path, FORMATS) as picture:
+        _check_header(picture, path, size)
+        picture.load()
+        yield picture
 
 
 def _check_header(picture: Image.Image, path: Path, size: tuple[int, int] | None) -> None:
     width, height = picture.size
-    if width * height > MAX_PIXELS:
-        raise DatasetError(
-            f"the picture has {width} x {height} pixels",
-            path=path,
-            accepted=f"up to {MAX_PIXELS} pixels",
-        )
     if size is not None and picture.size != tuple(size):
         raise DatasetError(
             f"the picture has {width} x {height} pixels",
@@ -149,5 +130,6 @@ def _check_header(picture: Image.Image, path: Path, size: tuple[int, int] | None
         )
 
 
-def _is_transparent(picture: Image.Image) -> bool:
+def is_transparent(picture: Image.Image) -> bool:
+    """Whether a picture has an alpha channel, or a colour that stands for transparent."""
     return picture.mode in ("LA", "PA", "RGBA") or "transparency" in picture.info

@@ -28,6 +28,7 @@ from datasets.camera_checks import (
 from gvr_core.atomic import atomic_write
 from gvr_core.cameras import Camera
 from gvr_core.errors import CameraFormatError
+from gvr_core.untrusted import read_regular
 
 CENTRE_TOLERANCE = 1e-6
 """Pixels that a principal point may lie beside the middle of the picture and still be written."""
@@ -70,7 +71,7 @@ def read_inria_cameras(path: Path | str) -> NamedCameras:
     if not is_file(path):
         raise CameraFormatError("no such file", path=path, accepted="a cameras.json file")
     try:
-        entries = _ENTRIES.validate_json(path.read_bytes())
+        entries = _ENTRIES.validate_json(read_regular(path))
     except OSError as error:
         raise CameraFormatError(f"cannot be read: {error.strerror}", path=path) from error
     except ValidationError as error:

@@ -6,7 +6,6 @@ things), `datasets.layout_room` (everything around them) and `datasets.layout_ca
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -18,6 +17,7 @@ from datasets.layout_room import FloatersTable, GroundTable, SurfaceTable
 from datasets.layout_tables import Table, Text
 from datasets.native_records import check_distinct, check_name, validation_error
 from gvr_core.errors import DatasetError
+from gvr_core.untrusted import read_toml
 
 
 class AbsentTable(Table):
@@ -65,8 +65,8 @@ def read_layout(path: Path) -> Layout:
         DatasetError: naming the line that is no TOML, or the key that is unknown or wrong.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        content = read_toml(path)
+    except ValueError as error:
         raise DatasetError(f"not TOML: {error}", path=path) from error
     except OSError as error:
         raise DatasetError(f"cannot be read: {error.strerror}", path=path) from error

@@ -30,6 +30,7 @@ from datasets.outline_polygons import polygon_area
 from datasets.polygons import PolygonMask
 from gvr_core.errors import DatasetError
 from gvr_core.protocols.base import Box
+from gvr_core.untrusted import parse_json, read_regular
 
 MAX_COORDINATE = 1_000_000
 """Pixels. Corners further out are damage, and beyond what can be drawn."""
@@ -244,7 +245,7 @@ def _check_info(info: LabelInfo, path: Path) -> None:
 def _check_visible(
     polygons: Sequence[Corners], size: tuple[int, int], path: Path, place: str
 ) -> None:
-    if not PolygonMask(tuple(polygons), size).pixels().any():
+    if not PolygonMask(tuple(polygons), size).is_visible():
         raise DatasetError(
             "the polygon lies outside of the picture",
             path=path,
@@ -256,13 +257,13 @@ def _check_visible(
 def _read_json(path: Path, notes: Notes) -> Any:
     """The content of a label file."""
     try:
-        raw = path.read_bytes()
-        content = json.loads(raw.decode("utf-8-sig"))
+        raw = read_regular(path)
+        content = parse_json(raw.decode("utf-8-sig"))
     except json.JSONDecodeError as error:
         raise DatasetError(
             f"not JSON: {error.msg}", path=path, place=f"line {error.lineno}"
         ) from error
-    except (UnicodeDecodeError, RecursionError, OSError, ValueError) as error:
+    except (OSError, ValueError) as error:
         raise DatasetError(
             f"cannot be read as JSON: {error}"[:200], path=path, accepted="JSON in UTF-8"
         ) from error

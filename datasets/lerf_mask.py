@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 from datasets.base import GroundTruth, SceneData
+from datasets.camera_checks import is_file, is_folder
 from datasets.capture import Capture, CaptureImage, read_capture
 from datasets.frames import match_frame
 from datasets.mask_folders import (
@@ -157,8 +158,8 @@ def _split(
 ) -> tuple[list[CaptureImage], list[CaptureImage]]:
     """Training and test images, each in name order."""
     images = sorted(capture.images, key=lambda image: _stem(image.name))
-    if (folder / TRAIN).is_dir():
-        stems = {path.stem for path in entries(folder / TRAIN) if path.is_file()}
+    if is_folder(folder / TRAIN):
+        stems = {path.stem for path in entries(folder / TRAIN) if is_file(path)}
         for stem in sorted(stems - {_stem(image.name) for image in images}):
             notes.add(f"pictures in {TRAIN}/ without a camera, left out", stem)
         rule = f"a name in {TRAIN}/ for some of the images, not for all"

@@ -20,11 +20,11 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from PIL import Image
-
 from datasets.base import GroundTruth, SceneData
+from datasets.camera_checks import is_folder
 from datasets.capture import Capture, CaptureImage, read_capture
 from datasets.frames import match_frame
+from datasets.images import FORMATS, is_transparent
 from datasets.lerf_labels import FrameLabels, read_frame_labels
 from datasets.mask_folders import (
     Notes,
@@ -38,6 +38,7 @@ from datasets.picture_folder import picture_size
 from datasets.provenance import is_original
 from gvr_core.errors import DatasetError, unknown_name
 from gvr_core.metrics import IN_SCENE_2D, REFUSAL
+from gvr_core.picture_files import open_picture
 from gvr_core.protocols.lerf_ovs import LANGSPLAT_2D, OPENGAUSSIAN_3D
 from gvr_core.scene import Scene, View
 
@@ -76,14 +77,14 @@ class LerfOvsDataset:
         Raises:
             DatasetError: if there is no scene, or no folder of labels.
         """
-        if not (self._root / LABELS).is_dir():
+        if not is_folder(self._root / LABELS):
             raise DatasetError(
                 f"no folder {LABELS}/ here",
                 path=self._root,
                 accepted=f"a folder with {LABELS}/ and the scenes {', '.join(SCENES)}",
             )
         labelled = [path.name for path in entries(self._root / LABELS) if _has_frames(path)]
-        published = [name for name in SCENES if name in labelled or (self._root / name).is_dir()]
+        published = [name for name in SCENES if name in labelled or is_folder(self._root / name)]
         found = (*published, *(name for name in labelled if name not in SCENES))
         if not found:
             raise DatasetError(
@@ -154,16 +155,16 @@ class LerfOvsDataset:
 
 
 def _has_frames(folder: Path) -> bool:
-    return folder.is_dir() and any(path.suffix.lower() == ".json" for path in entries(folder))
+    return is_folder(folder) and any(path.suffix.lower() == ".json" for path in entries(folder))
 
 
 def _read_labels(folder: Path, notes: Notes) -> list[FrameLabels]:
     """All label files of a scene, in name order, with their pictures checked."""
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise DatasetError("missing folder", path=folder, accepted="the labels of the scene")
     found, pictures = [], []
     for path in entries(folder):
-        if path.is_dir():
+        if is_folder(path):
             notes.add("folders among the labels, left out", path.name)
         elif path.suffix.lower() == ".json":
             found.append(path)
@@ -207,8 +208,8 @@ def _check_picture(frame: FrameLabels, notes: Notes) -> None:
             place="info",
             accepted=f"{size[0]} x {size[1]}, as {path.name} has",
         )
-    with Image.open(path) as picture:
-        if picture.mode in ("LA", "PA", "RGBA") or "transparency" in picture.info:
+    with open_picture(path, FORMATS) as picture:
+        if is_transparent(picture):
             notes.add("labelled pictures with an alpha channel, which is not looked at", path.name)
 
 
@@ -258,5 +259,5 @@ def _note_alike(objects: Sequence[str], notes: Notes) -> None:
 
 def _note_extra(root: Path, scenes: Sequence[str], notes: Notes) -> None:
     for path in (*entries(root), *entries(root / LABELS)):
-        if path.is_dir() and path.name not in (*scenes, LABELS):
+        if is_folder(path) and path.name not in (*scenes, LABELS):
             notes.add("folders without labels, left out", path.relative_to(root).as_posix())

@@ -7,16 +7,17 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from PIL import Image
 
+from datasets.camera_checks import is_folder
 from datasets.capture import CaptureImage
 from datasets.digests import digest_of, view_parts
-from datasets.images import read_mask
+from datasets.images import FORMATS, is_transparent, read_mask
 from datasets.making import slug
 from datasets.native_records import check_distinct
 from gvr_core.atomic import file_digest
 from gvr_core.cameras import Camera
 from gvr_core.errors import DatasetError, some_of, unknown_name
+from gvr_core.picture_files import open_picture
 from gvr_core.scene import Query, View
 
 JUNK = frozenset({"thumbs.db", "desktop.ini", "__macosx"})
@@ -67,9 +68,9 @@ def mask_folders(folder: Path, notes: Notes, known: Sequence[str] = ()) -> list[
     """
     listed = entries(folder)
     for path in listed:
-        if not path.is_dir() and path.name not in known:
+        if not is_folder(path) and path.name not in known:
             notes.add(f"files in {folder.name}/ outside its folders, left out", path.name)
-    found = [path for path in listed if path.is_dir()]
+    found = [path for path in listed if is_folder(path)]
     if not found:
         raise DatasetError("no view has masks", path=folder, accepted="a folder for each view")
     return found
@@ -80,7 +81,7 @@ def mask_files(folder: Path, notes: Notes) -> list[Path]:
     found = []
     for path in entries(folder):
         place = f"{folder.name}/{path.name}"
-        if path.is_dir():
+        if is_folder(path):
             notes.add("folders among the masks, left out", place)
         elif path.suffix.lower() != ".png":
             notes.add("files that are no PNG among the masks, left out", place)
@@ -132,8 +133,8 @@ def check_mask(
             path=path,
             accepted=f"{size[0]} x {size[1]}, as the view's other masks have",
         )
-    with Image.open(path) as picture:
-        if picture.mode in ("LA", "PA", "RGBA") or "transparency" in picture.info:
+    with open_picture(path, FORMATS) as picture:
+        if is_transparent(picture):
             notes.add("masks with an alpha channel, transparent taken for background", place)
         grey = np.asarray(picture.convert("L"))
     if grey.any() and not mask.any():
@@ -212,11 +213,11 @@ def find_scenes(root: Path, published: Sequence[str], marker: str) -> dict[str, 
     Raises:
         DatasetError: if there is none.
     """
-    if (root / marker).is_dir():
+    if is_folder(root / marker):
         return {root.resolve().name: root}
-    folders = {path.name: path for path in entries(root) if path.is_dir()}
+    folders = {path.name: path for path in entries(root) if is_folder(path)}
     found = {name: folders[name] for name in published if name in folders}
-    found |= {name: path for name, path in folders.items() if (path / marker).is_dir()}
+    found |= {name: path for name, path in folders.items() if is_folder(path / marker)}
     if not found:
         raise DatasetError(
             "no scene here",
@@ -235,7 +236,7 @@ def scene_folder(dataset: str, scenes: Mapping[str, Path], scene: str, marker: s
     """
     if scene not in scenes:
         raise unknown_name(f"scene of {dataset}", scene, scenes)
-    if not (scenes[scene] / marker).is_dir():
+    if not is_folder(scenes[scene] / marker):
         raise DatasetError("missing folder", path=scenes[scene] / marker, accepted="the masks")
     return scenes[scene]
 
@@ -243,7 +244,7 @@ def scene_folder(dataset: str, scenes: Mapping[str, Path], scene: str, marker: s
 def note_extra_folders(folder: Path, known: Sequence[str], notes: Notes) -> None:
     """Note the folders of a scene that no part of its layout is known to make."""
     for path in entries(folder):
-        if path.is_dir() and path.name not in known:
+        if is_folder(path) and path.name not in known:
             notes.add("folders that the layout does not have, left out", path.name)
 
 

@@ -20,9 +20,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from datasets.base import GroundTruth, SceneData
+from datasets.camera_checks import is_file, is_folder
 from datasets.colmap import read_colmap_model
 from datasets.digests import digest_of, view_parts
 from datasets.images import read_mask
@@ -38,6 +38,7 @@ from datasets.native_records import (
 from datasets.native_writer import Picture, write_scene
 from gvr_core.atomic import file_digest
 from gvr_core.errors import DatasetError
+from gvr_core.picture_files import open_picture
 from gvr_core.scene import Scene, View
 from gvr_core.splat_io import read_ply
 
@@ -62,12 +63,12 @@ def read_scene(folder: Path, dataset: str | None = None, name: str | None = None
         CameraFormatError: for a COLMAP model that cannot be used.
         SplatFormatError: for a splat that cannot be used.
     """
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise DatasetError("no such folder", path=folder, accepted="the folder of a scene")
     record = read_scene_file(folder / "scene.json")
     queries = read_queries(folder / "queries.json", record.objects)
     for path in (PLY, Path("labels.npy"), MODEL / "cameras.txt", MODEL / "images.txt"):
-        if not (folder / path).is_file():
+        if not is_file(folder / path):
             raise DatasetError("missing file", path=folder / path)
     views = _read_views(folder)
     for index, view in enumerate(record.test_views):
@@ -146,15 +147,10 @@ def _read_views(folder: Path) -> dict[str, View]:
 
 def _picture_size(path: Path) -> tuple[int, int]:
     """Width and height of a picture, from its header."""
-    if not path.is_file():
+    if not is_file(path):
         raise DatasetError("the COLMAP model has a camera, but there is no picture", path=path)
-    try:
-        with Image.open(path, formats=FORMATS) as picture:
-            return picture.size
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
-        raise DatasetError(
-            f"no picture: {error}", path=path, accepted=", ".join(FORMATS)
-        ) from error
+    with open_picture(path, FORMATS) as picture:
+        return picture.size
 
 
 def _find_masks(
@@ -163,9 +159,11 @@ def _find_masks(
     """The masks on disk, by view and object: nothing that is not known, each read once."""
     known = {view.name: view for view in test_views}
     masks = {}
-    for place in sorted(folder.iterdir()) if folder.is_dir() else ():
+    for place in sorted(folder.iterdir()) if is_folder(folder) else ():
         if place.name not in known:
             raise DatasetError("masks of an unknown view", path=place, accepted=", ".join(known))
+        if not is_folder(place):
+            raise DatasetError("this is no folder", path=place, accepted="a folder of masks")
         camera = known[place.name].camera
         for path in sorted(place.iterdir()):
             if path.suffix != ".png" or path.stem not in objects:

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from gvr_core.errors import DatasetError
+from gvr_core.npy_files import mapped_npy
 from gvr_core.scene import Query
+from gvr_core.untrusted import parse_json, read_regular
 
 PLY = Path("point_cloud/iteration_30000/point_cloud.ply")
 MODEL = Path("sparse/0")
@@ -192,14 +194,11 @@ def read_labels(path: Path, n: int, objects: int) -> NDArray[np.int16]:
         DatasetError: for a file that is no array of that kind.
     """
     try:
-        # mapped, so that a header that claims more than the file holds cannot fill the memory
-        labels = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError, SyntaxError) as error:
+        labels = mapped_npy(path)
+    except (OSError, ValueError) as error:
         raise DatasetError(
             f"no array: {error}"[:200], path=path, accepted="an .npy file without pickle"
         ) from error
-    if not isinstance(labels, np.ndarray):
-        raise DatasetError("an archive of arrays", path=path, accepted="an .npy file of one array")
     check_labels(labels, n, objects, path)
     return np.array(labels)
 
@@ -248,12 +247,12 @@ def validation_error(error: ValidationError, path: Path, prefix: str = "") -> Da
 def _read_json(path: Path) -> Any:
     """The content of a JSON file."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return parse_json(read_regular(path).decode("utf-8"))
     except FileNotFoundError as error:
         raise DatasetError("missing file", path=path) from error
     except json.JSONDecodeError as error:
         raise DatasetError(
             f"not JSON: {error.msg}", path=path, place=f"line {error.lineno}"
         ) from error
-    except (UnicodeDecodeError, RecursionError, OSError) as error:
+    except (ValueError, OSError) as error:
         raise DatasetError(f"cannot be read as JSON: {error}"[:200], path=path) from error

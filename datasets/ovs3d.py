@@ -40,6 +40,7 @@ from datasets.provenance import is_original
 from gvr_core.errors import DatasetError, some_of
 from gvr_core.metrics import IN_SCENE_2D, REFUSAL
 from gvr_core.scene import Scene, View
+from gvr_core.untrusted import read_regular
 
 OVS3D = "ovs3d"
 
@@ -127,7 +128,7 @@ def read_classes(path: Path, notes: Notes) -> tuple[str, ...]:
             no file can be called.
     """
     try:
-        text = path.read_bytes().decode("utf-8")
+        text = read_regular(path).decode("utf-8")
     except OSError as error:
         raise DatasetError(f"cannot be read: {error.strerror}", path=path) from error
     except UnicodeDecodeError as error:

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from PIL import Image
-
 from datasets.camera_checks import is_file, is_folder
 from datasets.images import FORMATS
 from gvr_core.errors import DatasetError, some_of
+from gvr_core.picture_files import open_picture
 
 FOLDERS = ("images", "images_2", "images_4", "images_8")
 """Folders of pictures, the one to take first."""
@@ -118,10 +117,5 @@ def picture_size(path: Path) -> tuple[int, int]:
     """
     if not is_file(path):
         raise DatasetError("missing picture", path=path, accepted=f"a {', '.join(FORMATS)}")
-    try:
-        with Image.open(path, formats=FORMATS) as picture:
-            return picture.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise DatasetError(
-            f"no picture: {error}", path=path, accepted=", ".join(FORMATS)
-        ) from error
+    with open_picture(path, FORMATS) as picture:
+        return picture.size

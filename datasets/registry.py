@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from datasets.base import Dataset, SceneData
+from datasets.camera_checks import is_file
 from datasets.composite import COMPOSITE, LAYOUTS, STRESS, STRESS_LAYOUTS, CompositeDataset
 from datasets.gallery import GalleryDataset
 from datasets.lerf_mask import LERF_MASK, LerfMaskDataset
@@ -16,6 +17,7 @@ from datasets.lerf_ovs import LerfOvsDataset
 from datasets.native import read_scene
 from datasets.ovs3d import OVS3D, Ovs3dDataset
 from gvr_core.errors import ConfigError, DatasetError, unknown_name
+from gvr_core.untrusted import expanded
 
 FOLDER = "folder:"
 """Names that begin with this are folders of scenes in the native layout."""
@@ -38,7 +40,7 @@ class FolderDataset:
 
     def __init__(self, folder: Path) -> None:
         self.name = FOLDER + str(folder)
-        alone = (folder / "scene.json").exists()
+        alone = is_file(folder / "scene.json")
         found = [folder.resolve()] if alone else _scene_folders(folder)
         if not found:
             raise DatasetError(
@@ -103,7 +105,7 @@ def _composed(name: str, layouts: Path) -> Callable[..., Dataset]:
 def benchmark_root(name: str) -> Path | None:
     """Where a benchmark is looked for: under GVR_DATASETS; None where that is unset."""
     given = os.environ.get("GVR_DATASETS")
-    return Path(given).expanduser() / name if given else None
+    return expanded(Path(given)) / name if given else None
 
 
 def _captured(name: str, reader: Callable[[Path, Path | None], Dataset]) -> Callable[..., Dataset]:
@@ -117,13 +119,13 @@ def _captured(name: str, reader: Callable[[Path, Path | None], Dataset]) -> Call
                     place=f"{name}.settings.{setting}",
                     accepted="the path of a folder",
                 )
-        folder = Path(str(root)).expanduser() if root else benchmark_root(name)
+        folder = expanded(Path(str(root))) if root else benchmark_root(name)
         if folder is None:
             raise DatasetError(
                 f"nobody said where {name} lies",
                 accepted=f"GVR_DATASETS, with {name}/ in it, or the data set's setting root",
             )
-        return reader(folder, Path(str(splats)).expanduser() if splats else None)
+        return reader(folder, expanded(Path(str(splats))) if splats else None)
 
     return make
 

@@ -44,6 +44,7 @@ from datasets.camera_checks import (
 )
 from datasets.picture_folder import PictureFolder, picture_size
 from gvr_core.errors import CameraFormatError
+from gvr_core.untrusted import read_regular
 
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 """Values of ``camera_model`` that are a pinhole where all coefficients are zero."""
@@ -148,7 +149,7 @@ def read_transforms_json(path: Path | str) -> NamedCameras:
 def _parsed(path: Path) -> _File:
     """The content of the file, its keys and types checked."""
     try:
-        return _File.model_validate_json(path.read_bytes().removeprefix(_BOM))
+        return _File.model_validate_json(read_regular(path).removeprefix(_BOM))
     except OSError as error:
         raise CameraFormatError(f"cannot be read: {error.strerror}", path=path) from error
     except ValidationError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
@@ -23,6 +22,7 @@ from gvr_core.errors import ConfigError, unknown_name
 from gvr_core.methods import METHODS, MethodConfig, check_method, variants
 from gvr_core.models.registry import ModelConfig, check_models
 from gvr_core.rendering import get_renderer
+from gvr_core.untrusted import read_toml
 
 DEFAULT_SUITE = "bench"
 
@@ -125,12 +125,12 @@ def parse_suite(path: Path) -> SuiteConfig:
         ConfigError: naming the file, the place in it, and what is accepted.
     """
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = read_toml(path)
     except OSError as error:
         raise ConfigError(
             f"cannot be read: {error.strerror}", path=path, accepted="a TOML file"
         ) from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except ValueError as error:
         raise ConfigError(f"is not TOML: {error}", path=path, accepted="a TOML file") from error
     try:
         return SuiteConfig.model_validate(data)

@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from pydantic import BaseModel, ConfigDict
 
 from gvr_core.atomic import file_digest
@@ -29,7 +28,10 @@ from gvr_core.books import Books
 from gvr_core.errors import DatasetError
 from gvr_core.localize import Localization
 from gvr_core.methods.base import Grounding, nothing_found
+from gvr_core.npy_files import mapped_npy
+from gvr_core.picture_files import open_picture
 from gvr_core.scene import Query, Scene
+from gvr_core.untrusted import expanded
 
 FLAGS = "flags"
 """Name of the folder of per-Gaussian flags, in place of a view's."""
@@ -161,10 +163,13 @@ def _root(config: PredictionsConfig) -> Path:
         raise DatasetError(
             "the method 'predictions' has no folder", accepted='predictions = { folder = "..." }'
         )
-    folder = config.folder.expanduser()
-    if not folder.is_dir():
-        raise DatasetError("no such folder of predictions", path=folder)
-    return folder
+    folder = expanded(config.folder)
+    try:
+        if folder.is_dir():
+            return folder
+    except OSError as error:  # a name that is too long, say
+        raise DatasetError(f"cannot be looked up: {error}", path=config.folder) from error
+    raise DatasetError("no such folder of predictions", path=folder)
 
 
 def _files(folder: Path, above: frozenset[Path]) -> Iterator[Path]:
@@ -194,11 +199,8 @@ def _find(folder: Path, query: Query, endings: tuple[str, ...]) -> Path | None:
 
 
 def _read_mask(path: Path) -> NDArray[np.uint8]:
-    try:
-        with Image.open(path, formats=("PNG",)) as picture:
-            mode, grey = picture.mode, np.array(picture.convert("L"))
-    except Exception as error:  # decoders answer damaged files with errors of many kinds
-        raise DatasetError(f"cannot be decoded: {error}", path=path, accepted="a PNG") from error
+    with open_picture(path, ("PNG",)) as picture:
+        mode, grey = picture.mode, np.array(picture.convert("L"))
     if mode not in MODES:
         raise DatasetError(
             f"pixels of the mode {mode}",
@@ -255,11 +257,11 @@ def _read_flags(path: Path, n: int) -> NDArray[np.bool_]:
 def _read_array(path: Path) -> NDArray[Any]:
     try:
         # Mapped: only what the file really holds can be read, whatever its header says.
-        mapped = np.load(path, mmap_mode="r", allow_pickle=False)
+        mapped = mapped_npy(path)
         if mapped.nbytes > LARGEST:
             raise ValueError(f"{mapped.nbytes:,} bytes")
         return np.array(mapped)
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError) as error:
         raise DatasetError(
             f"cannot be read: {error}", path=path, accepted="a .npy file of numbers"
         ) from error

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from gvr_core.errors import ModelError
 from gvr_core.models.checkpoints import checkpoint
+from gvr_core.untrusted import expanded
 from gvr_core.weights.manifest import DIGEST_SUFFIX, Entry, WeightsFile, find_entry
 
 
@@ -53,7 +54,7 @@ class Located:
 def models_folder() -> Path:
     """Where checkpoints lie: GVR_MODELS, else ``models`` under GVR_HOME, else ``.gvr/models``."""
     given = os.environ.get("GVR_MODELS")
-    return Path(given or Path(os.environ.get("GVR_HOME") or ".gvr") / "models").expanduser()
+    return expanded(Path(given or Path(os.environ.get("GVR_HOME") or ".gvr") / "models"))
 
 
 def located(name: str, folder: Path | None = None) -> tuple[Located, ...]:

@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
@@ -25,6 +24,7 @@ from pydantic import (
 )
 
 from gvr_core.errors import ModelError
+from gvr_core.untrusted import read_toml
 from gvr_core.weights import open_clip_tags
 
 MANIFEST = "manifest.toml"
@@ -126,8 +126,8 @@ def read_manifest(path: Path) -> dict[str, Entry]:
         ModelError: naming the line that is no TOML, or the key that is unknown or wrong.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        content = read_toml(path)
+    except ValueError as error:
         raise ModelError(f"not TOML: {error}", path=path) from error
     except OSError as error:
         raise ModelError(f"cannot be read: {error.strerror}", path=path) from error

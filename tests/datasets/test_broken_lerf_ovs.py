@@ -129,4 +129,4 @@ def test_labels_of_another_shape_than_the_camera_are_refused(root: Path) -> None
 
 def test_a_labelled_picture_that_is_none_is_refused(root: Path) -> None:
     label_path(root).with_suffix(".jpg").write_bytes(b"no picture")
-    refused(root, "frame_00002.jpg: no picture")
+    refused(root, "frame_00002.jpg: the picture cannot be decoded")

@@ -167,7 +167,7 @@ def test_a_mask_of_an_unknown_object_is_refused(folder: Path) -> None:
 
 def test_a_picture_that_is_none_is_refused(folder: Path) -> None:
     (folder / "images/v03.png").write_bytes(b"not a picture")
-    with pytest.raises(DatasetError, match=r"v03.png: no picture"):
+    with pytest.raises(DatasetError, match=r"v03.png: the picture cannot be decoded"):
         read_scene(folder)
 
 

@@ -172,7 +172,7 @@ def test_broken_folders(folder: Path, tmp_path: Path, views: Named):
     with pytest.raises(DatasetError, match="no such folder"):
         read(folder / "sparse/0/images.txt")
     cut(folder / "images" / views[0][0])
-    with pytest.raises(DatasetError, match="no picture: "):
+    with pytest.raises(DatasetError, match="cannot be decoded: "):
         read(folder)
     write_pictures(folder / "images", views)
     (folder / "sparse/0/images.txt").write_text("1 nan 0 0 0 0 0 0 1 v00.png\n\n")
