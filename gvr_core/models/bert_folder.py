@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from gvr_core.errors import ModelError
 from gvr_core.models.transformers_files import NETWORK_CONFIG, TOKENIZER_OPTIONS, VOCABULARIES
+from gvr_core.untrusted import expanded, parse_json, read_regular
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def bert_folder(path: Path, fetch: str = "") -> BertFolder:
     Raises:
         ModelError: if it lacks its configuration or a vocabulary, or is another network's.
     """
-    path = path.expanduser().absolute()
+    path = expanded(path).absolute()
     accepted = f"a folder with {NETWORK_CONFIG} and {' or '.join(VOCABULARIES)}"
     accepted += f"; `{fetch}` brings one" if fetch else ""
     if not path.is_dir():
@@ -89,7 +89,7 @@ def bert_folder(path: Path, fetch: str = "") -> BertFolder:
     digest = hashlib.sha256()
     for name in (NETWORK_CONFIG, *VOCABULARIES, *TOKENIZER_OPTIONS):
         try:
-            content = (path / name).read_bytes()
+            content = read_regular(path / name)
         except FileNotFoundError as error:
             if name == NETWORK_CONFIG:
                 raise ModelError(f"lacks {NETWORK_CONFIG}", path=path, accepted=accepted) from error
@@ -106,7 +106,7 @@ def bert_folder(path: Path, fetch: str = "") -> BertFolder:
 def _check_kind(path: Path, content: bytes) -> None:
     """Other networks' configurations have other keys, which would be passed over in silence."""
     try:
-        kind = json.loads(content).get("model_type", "bert")
+        kind = parse_json(content).get("model_type", "bert")
     except (ValueError, AttributeError) as error:
         raise ModelError("no JSON object", path=path, accepted="a BERT's configuration") from error
     if kind != "bert":

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import io
-import json
 import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,6 +14,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from gvr_core.atomic import file_digest
 from gvr_core.errors import ModelError
+from gvr_core.untrusted import expanded, parse_json
+from gvr_core.weights.pickles import AsksForMore, check_pickles
 
 if TYPE_CHECKING:
     import torch
@@ -92,7 +93,7 @@ def checkpoint(path: Path, sha256: str | None = None) -> Checkpoint:
     Raises:
         ModelError: if the file is missing or its digest differs.
     """
-    path = path.expanduser().absolute()
+    path = expanded(path).absolute()
     try:
         seen = path.stat()
         found = _digest(path, seen.st_size, seen.st_mtime_ns, seen.st_ino)
@@ -166,9 +167,10 @@ def _torch_load(file: BinaryIO, path: Path) -> Any:
     import torch
 
     try:
+        check_pickles(file)
         # Never without weights_only: a pickle is a program.
         return torch.load(file, map_location="cpu", weights_only=True)
-    except pickle.UnpicklingError as error:
+    except (pickle.UnpicklingError, AsksForMore) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ModelError(
             f"refused, as reading it might run code that it holds: {reason}",
@@ -244,7 +246,7 @@ def load_json(path: Path, sha256: str) -> dict[str, Any]:
         ModelError: a wrong digest, or no JSON object.
     """
     try:
-        value = json.loads(verified_bytes(path, sha256))
+        value = parse_json(verified_bytes(path, sha256))
     except ValueError as error:
         raise ModelError(f"not JSON: {error}", path=path, accepted="a JSON object") from error
     if not isinstance(value, dict):

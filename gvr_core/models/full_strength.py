@@ -17,6 +17,7 @@ from gvr_core.models.sam_onnx import OnnxSam
 from gvr_core.models.sam_prompts import SamSettings, SparseSamSettings
 from gvr_core.models.sam_segmenter import SamSegmenter
 from gvr_core.models.sam_torch import TorchSam
+from gvr_core.untrusted import expanded
 from gvr_core.weights.folder import located, models_folder
 
 CHECKPOINT_ENDINGS = (".pth", ".pt", ".safetensors")
@@ -70,7 +71,7 @@ def onnx_folder(where: str) -> Path:
     Raises:
         ModelError: where neither is there.
     """
-    given = Path(where).expanduser()
+    given = expanded(Path(where))
     places = [given.absolute(), models_folder().absolute() / given]
     for place in places:
         if place.is_dir():

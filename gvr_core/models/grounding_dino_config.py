@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import ast
-import json
-import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -12,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from gvr_core.errors import ConfigError, unknown_name
 from gvr_core.models.checkpoints import installed_file
+from gvr_core.untrusted import MAX_TOML_BYTES, parse_json, parse_toml, read_regular
 
 PACKAGE = "groundingdino"
 """The library's package; it is installed as ``groundingdino-py``."""
@@ -119,7 +119,7 @@ def configuration(variant: str, overrides: Path | None = None) -> dict[str, Any]
 
 def _read(path: Path) -> dict[str, Any]:
     kinds = "a .json or .toml file of the library's configuration keys"
-    readers = {".json": json.loads, ".toml": tomllib.loads}
+    readers: dict[str, Callable[[str], Any]] = {".json": parse_json, ".toml": parse_toml}
     if path.suffix.lower() not in readers:
         reason = (
             "reading a .py file would run it"
@@ -128,7 +128,7 @@ def _read(path: Path) -> dict[str, Any]:
         )
         raise ConfigError(f"cannot be used: {reason}", path=path, accepted=kinds)
     try:
-        keys = readers[path.suffix.lower()](path.read_text(encoding="utf-8"))
+        keys = readers[path.suffix.lower()](read_regular(path, MAX_TOML_BYTES).decode("utf-8"))
     except OSError as error:
         raise ConfigError(f"cannot be read: {error.strerror}", path=path, accepted=kinds) from error
     except ValueError as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from typing import Any
 from gvr_core.errors import ModelError
 from gvr_core.models.checkpoints import installed_file
 from gvr_core.models.transformers_files import NETWORK_CONFIG, TOKENIZER_OPTIONS, VOCABULARIES
+from gvr_core.untrusted import expanded, parse_json, read_regular
 
 _FORMAT = 'open_clip\'s JSON: {"embed_dim": 512, "vision_cfg": {...}, "text_cfg": {...}}'
 _DEFAULT_SIZE = 224
@@ -99,7 +99,7 @@ def file_config(path: Path) -> OpenClipConfig:
     Raises:
         ModelError: if it or a file that it needs is missing or is not what it should be.
     """
-    path = path.expanduser().absolute()
+    path = expanded(path).absolute()
     content = _content(path)
     if content is None:
         raise ModelError("no such file", path=path, accepted=_FORMAT)
@@ -127,7 +127,7 @@ def file_config(path: Path) -> OpenClipConfig:
 def _content(path: Path) -> bytes | None:
     """What a file holds; None where there is none."""
     try:
-        return path.read_bytes()
+        return read_regular(path)
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -137,7 +137,7 @@ def _content(path: Path) -> bytes | None:
 def _read(path: Path, content: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
     """The model's and the preprocessing's part of a configuration."""
     try:
-        value = json.loads(content)
+        value = parse_json(content)
     except ValueError as error:
         raise ModelError(f"not JSON: {error}", path=path, accepted=_FORMAT) from error
     preprocess: Any = {}

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 import warnings
 from pathlib import Path, PurePosixPath
 
 from gvr_core.errors import ModelError
+from gvr_core.untrusted import parse_json, read_regular
+from gvr_core.weights.pickles import AsksForMore, check_pickles
 
 _PICKLES = {".pth", ".pt", ".bin", ".ckpt"}
 
@@ -39,14 +40,15 @@ def check_harmless(path: Path, name: str) -> None:
 def _check_torch(path: Path, name: str) -> None:
     import torch
 
-    with path.open("rb") as file:
-        is_archive = file.read(2) == b"PK"
     try:
+        with path.open("rb") as file:
+            check_pickles(file)
+            is_archive = file.read(2) == b"PK"
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             # Tensors of an archive are mapped, not read; files from before torch 1.6 are read.
             torch.load(path, map_location="cpu", weights_only=True, mmap=is_archive)
-    except pickle.UnpicklingError as error:
+    except (pickle.UnpicklingError, AsksForMore) as error:
         reason = next((line for line in str(error).splitlines() if "GLOBAL" in line), str(error))
         raise ModelError(
             "refused, as reading it might run code that it holds: "
@@ -71,12 +73,12 @@ def _check_safetensors(path: Path, name: str) -> None:
     try:
         with safe_open(path, framework="pt") as file:
             file.keys()
-    except SafetensorError as error:
+    except (SafetensorError, OSError) as error:
         raise ModelError(f"is not safetensors: {error}", path=name) from error
 
 
 def _check_json(path: Path, name: str) -> None:
     try:
-        json.loads(path.read_bytes())
-    except ValueError as error:
+        parse_json(read_regular(path))
+    except (OSError, ValueError) as error:
         raise ModelError(f"is not JSON: {error}", path=name) from error
