@@ -30,3 +30,22 @@ class PolygonMask:
         for polygon in self.polygons:
             cv2.fillPoly(canvas, [polygon.astype(np.int32)], (1,))
         return canvas.astype(np.bool_)
+
+    def is_visible(self) -> bool:
+        """Whether `pixels` would have any, told from the corners: nothing is drawn.
+
+        A polygon colours a pixel if an edge crosses the picture, or else if it goes all round it.
+        """
+        import cv2
+
+        frame = (0, 0, *self.size)
+        for polygon in self.polygons:
+            corners = polygon.astype(np.int32)
+            if ((corners >= 0) & (corners < self.size)).all(axis=1).any():
+                return True
+            starts, ends = corners.tolist(), np.roll(corners, -1, axis=0).tolist()
+            if any(cv2.clipLine(frame, a, b)[0] for a, b in zip(starts, ends, strict=True)):
+                return True
+            if cv2.pointPolygonTest(corners, (0.0, 0.0), False) > 0:
+                return True
+        return False
