@@ -64,6 +64,7 @@ class StoredArrays(Mapping[str, NDArray[Any]]):
     """
 
     def __init__(self, path: Path) -> None:
+        self._path = path
         try:
             opened: Any = safe_open
             self._file: Any = opened(str(path), framework="numpy")
@@ -74,7 +75,11 @@ class StoredArrays(Mapping[str, NDArray[Any]]):
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self._names:
             raise KeyError(name)
-        array: NDArray[Any] = self._file.get_tensor(name)
+        try:
+            array: NDArray[Any] = self._file.get_tensor(name)
+        except (SafetensorError, OSError, AttributeError, TypeError, ValueError) as error:
+            # Of a dtype that numpy does not have, the library's own errors are of these kinds.
+            raise StoreError(f"{self._path}: array {name!r} cannot be read: {error}") from error
         return array
 
     def __iter__(self) -> Iterator[str]:

@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvr_core.books import PatchBook
+from gvr_core.errors import StoreError
 from gvr_core.localize import Localization, Place, Retrieval
 from gvr_core.methods import Grounding
+from gvr_core.untrusted import parse_json
 
 BEV, RING = 0, 1
 """Roles of virtual views in the evidence."""
@@ -112,8 +114,25 @@ def pack_groundings(groundings: Sequence[Grounding], n: int) -> dict[str, NDArra
 
 
 def unpack_answers(arrays: Mapping[str, NDArray[Any]]) -> list[Answer]:
-    """The answers that :func:`pack_groundings` put away, one for each query."""
+    """The answers that :func:`pack_groundings` put away, one for each query.
+
+    Raises:
+        StoreError: for arrays that it never made.
+    """
+    try:
+        return _unpacked(arrays)
+    except (LookupError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        raise StoreError(
+            f"no stored answers: {type(error).__name__}: {error}"
+            " (accepted: the arrays of pack_groundings)"
+        ) from error
+
+
+def _unpacked(arrays: Mapping[str, NDArray[Any]]) -> list[Answer]:
     n = int(arrays["n"][0])
+    # Unpacking fills up with zeros whatever count it is told.
+    if arrays["flags"].shape != (len(arrays["found"]), (n + 7) // 8):
+        raise ValueError(f"flags of shape {arrays['flags'].shape} for {n} Gaussians")
     flags = np.unpackbits(arrays["flags"], axis=1, count=n).astype(np.bool_)
     scores = arrays["scores"] if "scores" in arrays else flags.astype(np.float32)
     places = [None if np.isnan(place).any() else place for place in arrays["locations"]]
@@ -150,7 +169,7 @@ def _pack_given(groundings: Sequence[Grounding]) -> dict[str, NDArray[Any]]:
 def _unpack_given(arrays: Mapping[str, NDArray[Any]]) -> dict[int, dict[str, NDArray[Any]]]:
     if "given.listing" not in arrays:
         return {}
-    listing = json.loads(arrays["given.listing"].tobytes())
+    listing = parse_json(arrays["given.listing"].tobytes())
     pictures: dict[int, dict[str, NDArray[Any]]] = {i: {} for i in listing["queries"]}
     for number, (query, view) in enumerate(listing["pictures"]):
         pictures[query][view] = arrays[f"given.{number}"]

@@ -14,7 +14,6 @@ An object lies at ``objects/ab/<sha256><suffix>``. When is its content checked?
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -29,6 +28,7 @@ from pydantic import JsonValue, ValidationError
 from gvr_core.atomic import file_digest
 from gvr_core.errors import StoreError
 from gvr_core.locks import file_lock
+from gvr_core.untrusted import parse_json
 from tasks.arrays import StoredArrays, write_arrays
 from tasks.files import Stamp, move_into_place, sync_file, temporary_name
 from tasks.records import DIGEST, Artifact, canonical_json
@@ -273,8 +273,8 @@ class ObjectStore:
             StoreError: The object is missing, damaged or not JSON.
         """
         try:
-            return json.loads(self.load_bytes(artifact))
-        except (ValueError, RecursionError) as error:
+            return parse_json(self.load_bytes(artifact))
+        except ValueError as error:
             raise StoreError(f"{artifact.kind} {artifact.path}: not JSON: {error}") from error
 
     def load_bytes(self, artifact: Artifact) -> bytes:

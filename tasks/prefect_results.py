@@ -8,7 +8,6 @@ of the one form that it writes; anything else counts as not there, and is comput
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,11 +15,15 @@ from typing import Any, ClassVar
 from prefect.filesystems import WritableFileSystem
 from prefect.serializers import JSONSerializer
 
+from gvr_core.untrusted import parse_json, read_regular
 from tasks.files import write_atomically
 from tasks.records import DIGEST, STAGE_NAME
 
 RESULT_SERIALIZER = JSONSerializer(object_encoder=None, object_decoder=None)
 """Plain ``json``: without hooks that import classes named in the file."""
+
+MAX_RECORD_BYTES = 16 * 2**20
+"""A larger file is none of ours: a result names artifacts, and takes a few KB."""
 
 _KEY = re.compile(rf"({STAGE_NAME.pattern})-({DIGEST.pattern})")
 _METADATA = {"storage_key", "expiration", "serializer", "prefect_version", "storage_block_id"}
@@ -48,9 +51,10 @@ class StageResultStorage(WritableFileSystem):
         """The record under a key.
 
         Raises:
-            ValueError: There is none, or it is not one that this storage wrote.
+            OSError: There is none.
+            ValueError: It is not one that this storage wrote.
         """
-        content = self._file(path).read_bytes()
+        content = read_regular(self._file(path), MAX_RECORD_BYTES)
         problem = refuse(content, path)
         if problem is not None:
             raise ValueError(f"result record {path} is refused: {problem}")
@@ -95,8 +99,8 @@ def refuse(content: bytes, key: str) -> str | None:
         key: The key that it was asked for with.
     """
     try:
-        record = json.loads(content)
-    except (ValueError, RecursionError):
+        record = parse_json(content)
+    except ValueError:
         return "not JSON"
     if not isinstance(record, dict) or set(record) != {"metadata", "result"}:
         return "not of the form metadata and result"
@@ -109,4 +113,8 @@ def refuse(content: bytes, key: str) -> str | None:
         return "a record of another key or storage"
     if not isinstance(result, str):
         return "a result that is not text"
+    try:
+        parse_json(result)
+    except ValueError:
+        return "a result that is not JSON"
     return None

@@ -23,6 +23,9 @@ RECORD_SCHEMA: Literal[1] = 1
 DIGEST = re.compile(r"[0-9a-f]{64}")
 """A sha256 in lower-case hexadecimal digits."""
 
+_LARGEST = 2**63 - 1
+"""Of a whole number in a record; a larger one no report could hold."""
+
 STAGE_NAME = re.compile(r"[a-z][a-z0-9_]{0,47}")
 """Names of stages: they become folder names and Prefect task names."""
 
@@ -42,7 +45,7 @@ class Artifact(BaseModel):
     """sha256 of the content."""
     path: str
     """Relative to the store's root, with forward slashes."""
-    bytes: int = Field(ge=0)
+    bytes: int = Field(ge=0, le=_LARGEST)
     meta: dict[str, JsonValue] = Field(default_factory=dict)
 
 
@@ -53,14 +56,14 @@ class StageRecord(BaseModel):
 
     schema_version: Literal[1] = Field(default=RECORD_SCHEMA, alias="schema")
     stage: str = Field(pattern=r"^[a-z][a-z0-9_]{0,47}$")
-    version: int = Field(ge=1)
+    version: int = Field(ge=1, le=_LARGEST)
     key: str = Field(pattern=r"^[0-9a-f]{64}$")
     artifacts: dict[str, Artifact]
-    seconds: float = Field(ge=0)
+    seconds: float = Field(ge=0, allow_inf_nan=False)
     """Wall-clock time of the computation, without waiting for locks."""
-    cpu_seconds: float = Field(ge=0)
+    cpu_seconds: float = Field(ge=0, allow_inf_nan=False)
     """User and system time of this process and its finished children meanwhile."""
-    peak_bytes: int = Field(ge=0)
+    peak_bytes: int = Field(ge=0, le=_LARGEST)
     """Highest resident memory of the process; see `peak_of`."""
     peak_of: Literal["stage", "process"]
     """``stage``: the peak was reset at the start; ``process``: since the process began."""
