@@ -15,12 +15,19 @@ is added stands last, and has a default that is true of older results.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 SCHEMA_VERSION = 1
 """Version of the records in this file."""
+
+
+Seconds = Annotated[float, Field(ge=0, le=1e12)]
+"""A duration; 1e12 is thirty thousand years."""
+
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+"""A number of things; a larger one no table or database could hold."""
 
 
 class _Record(BaseModel):
@@ -55,10 +62,10 @@ class StageTiming(_Record):
     """What one stage of one scene cost when it was computed."""
 
     stage: str
-    seconds: float
+    seconds: Seconds
     """Wall time of the computation; of the original one where the stage was cached."""
-    cpu_seconds: float
-    peak_bytes: int
+    cpu_seconds: Seconds
+    peak_bytes: Count
     """Peak resident memory of the process during the stage."""
     state: Literal["computed", "cached"]
     """Whether this run computed it."""
@@ -73,10 +80,10 @@ class QueryOutcome(_Record):
     found: bool
     location: tuple[float, float, float] | None
     """L_3D, world frame."""
-    n_flagged: int
+    n_flagged: Count
     """Number of target Gaussians."""
     confidence: float
-    seconds: dict[str, float]
+    seconds: dict[str, Seconds]
     """Stage -> wall seconds of this query alone."""
     picture: str | None = None
     """Path of its picture, relative to the result's folder."""
@@ -91,18 +98,18 @@ class SceneResult(_Record):
     """Unique in the run: label and model set."""
     status: Literal["completed", "failed"]
     error: str | None = None
-    n_gaussians: int = 0
-    n_views: int = 0
-    n_patches: int = 0
-    picture_size: tuple[int, int] = (0, 0)
+    n_gaussians: Count = 0
+    n_views: Count = 0
+    n_patches: Count = 0
+    picture_size: tuple[Count, Count] = (0, 0)
     """Width and height of the knowledge views, pixels."""
     models: dict[str, str] = Field(default_factory=dict)
     """Role -> model name with version and settings."""
     digests: dict[str, str] = Field(default_factory=dict)
     """Part of the data set -> sha256."""
-    prepare_seconds: float = 0.0
+    prepare_seconds: Seconds = 0.0
     """Preparation time of the paper's second table: the stages before any query."""
-    query_seconds: float = 0.0
+    query_seconds: Seconds = 0.0
     """Query time of the paper's second table: mean over queries of localising and segmenting."""
     stages: tuple[StageTiming, ...] = ()
     queries: tuple[QueryOutcome, ...] = ()
@@ -127,7 +134,7 @@ class Environment(_Record):
     python: str
     platform: str
     processor: str
-    cpu_count: int
+    cpu_count: Count
     gpu: str | None
     git_revision: str | None
     git_dirty: bool | None
@@ -143,7 +150,7 @@ class Result(_Record):
     suite: str
     created: str
     """UTC, ISO 8601."""
-    wall_seconds: float
+    wall_seconds: Seconds
     config: dict[str, Any]
     """The resolved configuration, complete: every default is written out."""
     environment: Environment

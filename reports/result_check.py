@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,44 @@ def check_consistent(
                     place=f"query {query.query} of ({scene.dataset}, {scene.scene})",
                     accepted="every picture that the result names",
                 )
+
+
+def check_readable(folder: Path, result: Result) -> None:
+    """Refuse a result that was read, and would lead what is made from it astray.
+
+    Pictures are copied into MLflow and onto sheets: they are files of the result's own folder,
+    and neither they nor a folder on the way to them is a symbolic link, which `write_result`
+    never makes.
+
+    Raises:
+        ResultError: for a picture that lies elsewhere, or a time that is none.
+    """
+    path = folder / "result.json"
+    try:
+        datetime.fromisoformat(result.created).timestamp()
+    except (ValueError, OverflowError, OSError) as error:
+        raise ResultError(
+            f"{result.created[:60]!r} is no time", path=path, place="created", accepted="ISO 8601"
+        ) from error
+    for i, scene in enumerate(result.scenes):
+        for j, query in enumerate(scene.queries):
+            if query.picture is None:
+                continue
+            place = f"scenes.{i}.queries.{j}.picture"
+            if not PICTURE_NAME.fullmatch(query.picture):
+                raise ResultError(
+                    f"a picture named {query.picture[:100]!r}",
+                    path=path,
+                    place=place,
+                    accepted="pictures/<name>, plain letters",
+                )
+            for step in (folder / query.picture, *(folder / query.picture).parents):
+                if step == folder:
+                    break
+                if step.is_symlink():
+                    raise ResultError(
+                        "is a symbolic link", path=step, place=place, accepted="a file of its own"
+                    )
 
 
 def _check_lines(folder: Path, result: Result) -> None:

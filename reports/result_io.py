@@ -17,8 +17,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticSerializationError
 
 from gvr_core.atomic import file_digest
+from gvr_core.untrusted import parse_json, read_regular
 from reports.record import SCHEMA_VERSION, Result, Row
-from reports.result_check import ResultError, check_consistent
+from reports.result_check import ResultError, check_consistent, check_readable
 
 RESULT_FILE = "result.json"
 ROWS_FILE = "rows.jsonl"
@@ -94,8 +95,9 @@ def read_result(folder: Path) -> tuple[Result, list[Row]]:
     """Read a result and its rows, checked against the sums written with them.
 
     Raises:
-        ResultError: for a folder that is no result, a damaged or edited file, or a result of a
-            newer schema; it names the file, the place in it, and what is accepted.
+        ResultError: for a folder that is no result, a damaged or edited file, a time that is
+            none, a picture that lies elsewhere, or a result of a newer schema; it names the file,
+            the place in it, and what is accepted.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -105,6 +107,7 @@ def read_result(folder: Path) -> tuple[Result, list[Row]]:
     content = _parse_json(folder / RESULT_FILE, result_text)
     _check_version(folder / RESULT_FILE, content)
     result = _validate(Result, folder / RESULT_FILE, content)
+    check_readable(folder, result)
     rows = [
         _validate(Row, folder / ROWS_FILE, _parse_json(folder / ROWS_FILE, line, number), number)
         for number, line in enumerate(rows_text.removesuffix("\n").split("\n"), start=1)
@@ -149,13 +152,13 @@ def _parse_json(path: Path, text: str, line: int | None = None) -> Any:
         raise ValueError(f"the number {constant}")
 
     try:
-        return json.loads(text, parse_constant=refuse)
+        return parse_json(text, parse_constant=refuse)
     except json.JSONDecodeError as error:
         place = f"line {error.lineno if line is None else line}, column {error.colno}"
         raise ResultError(
             f"not JSON: {error.msg}", path=path, place=place, accepted="one whole JSON object"
         ) from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise ResultError(
             f"not JSON: {error}",
             path=path,
@@ -208,7 +211,8 @@ def _check_sums(folder: Path, names: Sequence[str]) -> None:
 
 def _read_text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        # Not in text mode, whose line ends would be taken for others.
+        return read_regular(path).decode("utf-8")
     except FileNotFoundError as error:
         raise ResultError(
             "the file is missing", path=path, accepted="a folder that write_result made"
