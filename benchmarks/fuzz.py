@@ -22,7 +22,7 @@ from typing import Annotated
 import typer
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests" / "reports")]
+sys.path.extend(str(ROOT / folder) for folder in ("", "tests", "tests/reports"))
 
 BLOCK = "fuzz"
 """Name of the block of the page that ``--into`` rewrites."""

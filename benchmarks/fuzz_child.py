@@ -21,7 +21,7 @@ COMPILED = ("gvr_core.rendering", "gvr_core.robust", "gvr_core.metrics")
 def main() -> None:
     """Run the target that the first argument names; the others are libFuzzer's."""
     name, crashes, memory = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]) * 2**20
-    sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests" / "reports")]
+    sys.path.extend(str(ROOT / folder) for folder in ("", "tests", "tests/reports"))
     with atheris.instrument_imports(include=list(OURS), exclude=list(COMPILED)):
         from hostile_targets import TARGETS
 

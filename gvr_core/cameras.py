@@ -95,9 +95,9 @@ class Camera:
         """
         local = self.to_camera(points)
         z = local[..., 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             flat = local[..., :2] / z[..., None]
-        pixels = flat * np.array([self.K[0, 0], self.K[1, 1]]) + self.K[:2, 2]
+            pixels = flat * np.array([self.K[0, 0], self.K[1, 1]]) + self.K[:2, 2]
         pixels[z <= 0] = np.nan
         return pixels, z
 

@@ -33,5 +33,5 @@ def mapped_npy(path: Path) -> NDArray[Any]:
     except OSError:
         raise
     except Exception as error:  # the header is a Python literal, which fails in many ways
-        raise ValueError(f"no array: {type(error).__name__}: {error}"[:200]) from error
+        raise ValueError(f"{type(error).__name__}: {error}"[:200]) from error
     return mapped

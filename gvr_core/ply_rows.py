@@ -59,6 +59,8 @@ def _ascii_blocks(stream: BinaryIO, table: VertexTable, path: Path) -> Iterator[
         pass
     for first in range(0, table.count, BLOCK_ROWS):
         lines = list(islice(text, min(BLOCK_ROWS, table.count - first)))
+        if not lines:
+            raise _early_end(first, table.count, path)
         values = _numbers(lines, names, first, path)
         if first + len(lines) < min(first + BLOCK_ROWS, table.count):
             raise _early_end(first + len(lines), table.count, path)

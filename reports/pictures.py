@@ -15,6 +15,7 @@ from PIL import Image, ImageDraw, ImageFont, UnidentifiedImageError
 from scipy import ndimage
 
 from gvr_core.errors import InputError
+from gvr_core.picture_files import MAX_PIXELS
 from reports.sheet import printable
 
 OUTLINE = (86, 180, 233)
@@ -90,8 +91,11 @@ def contact_sheet(pictures: Sequence[bytes], columns: int = 3, width: int = 1200
     tiles = []
     for i, content in enumerate(pictures):
         try:
-            tile = Image.open(io.BytesIO(content)).convert("RGB")
-        except (UnidentifiedImageError, OSError, Image.DecompressionBombError) as error:
+            opened = Image.open(io.BytesIO(content), formats=("PNG", "JPEG"))
+            if opened.width * opened.height > MAX_PIXELS or opened.height > 20 * opened.width:
+                raise OSError(f"{opened.width} x {opened.height} pixels")
+            tile = opened.convert("RGB")
+        except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
             raise InputError(
                 f"not a picture: {error}", place=f"pictures[{i}]", accepted="PNG or JPEG bytes"
             ) from error

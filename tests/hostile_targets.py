@@ -538,10 +538,13 @@ def _arrays_seeds(folder: Path) -> list[bytes]:
 
 
 def _read_prefect(data: bytes, folder: Path) -> None:
+    from gvr_core.errors import StoreError
     from tasks.prefect_results import RESULT_SERIALIZER, refuse
 
-    if refuse(data, f"render-{KEY}") is None:
-        RESULT_SERIALIZER.loads(json.loads(data)["result"].encode())
+    reason = refuse(data, f"render-{KEY}")
+    if reason is not None:
+        raise StoreError(reason)
+    RESULT_SERIALIZER.loads(json.loads(data)["result"].encode())
 
 
 def _prefect_seeds(folder: Path) -> list[bytes]:
