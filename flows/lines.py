@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,9 @@ from pydantic import Field
 from gvr_core.errors import ConfigError, unknown_name
 from gvr_core.methods import MethodConfig, variants
 from gvr_core.models.registry import ModelConfig
+
+MOST_LETTERS = 100
+"""Of a name that becomes part of a file's name."""
 
 SEPARATOR = " · "
 """Stands between method and models in a line's name; no label may hold it."""
@@ -118,6 +122,12 @@ def _refuse_doubles(names: Sequence[str]) -> None:
 
 
 def file_name(name: str) -> str:
-    """A name with everything but letters, digits, dots and dashes replaced."""
-    safe = "".join(c if c.isalnum() or c in ".-" else "_" for c in name)
+    """A name with everything but ASCII letters, digits, dots and dashes replaced.
+
+    One that is long, or loses letters of other alphabets, ends with its digest: it stays its own.
+    """
+    safe = "".join(c if c.isascii() and (c.isalnum() or c in ".-") else "_" for c in name)
+    if len(safe) > MOST_LETTERS or any(c.isalnum() and not c.isascii() for c in name):
+        digest = hashlib.sha256(name.encode("utf-8", "surrogateescape")).hexdigest()[:8]
+        safe = f"{safe[:MOST_LETTERS]}-{digest}"
     return safe.strip(".") or "_"

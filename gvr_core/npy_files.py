@@ -22,7 +22,8 @@ def mapped_npy(path: Path) -> NDArray[Any]:
 
     Raises:
         OSError: if it cannot be read.
-        ValueError: if it is no such file: an archive, a pickle, a damaged or a lying header.
+        ValueError: if it is no such file: an archive, a pickle, a damaged or a lying header, or
+            more behind the array.
     """
     with path.open("rb") as stream:
         # Else an archive would be opened, which is another kind of object.
@@ -34,4 +35,7 @@ def mapped_npy(path: Path) -> NDArray[Any]:
         raise
     except Exception as error:  # the header is a Python literal, which fails in many ways
         raise ValueError(f"{type(error).__name__}: {error}"[:200]) from error
+    held = path.stat().st_size - mapped.offset  # type: ignore[attr-defined]
+    if held != mapped.nbytes:
+        raise ValueError(f"{held} bytes follow the header, and the array has {mapped.nbytes}")
     return mapped

@@ -35,7 +35,7 @@ def open_picture(path: Path, formats: Sequence[str]) -> Iterator[Image.Image]:
                 path=path,
                 accepted=f"a picture: {', '.join(formats)}",
             )
-        with Image.open(path, formats=formats) as picture:
+        with Image.open(path, formats=tuple(formats)) as picture:
             width, height = picture.size
             if width * height > MAX_PIXELS:
                 raise DatasetError(

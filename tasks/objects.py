@@ -186,9 +186,7 @@ class ObjectStore:
                 " (accepted: objects/<first two digits>/<digest><suffix>)"
             )
         path = self.root / artifact.path
-        for step in (path.parent.parent, path.parent):
-            if step.is_symlink():
-                raise StoreError(f"{step} is a symbolic link (accepted: what the store wrote)")
+        refuse_links(path.parent.parent, path.parent)
         return path
 
     def problem(self, artifact: Artifact, *, thorough: bool = False) -> str | None:
@@ -287,3 +285,14 @@ class ObjectStore:
         if hashlib.sha256(data).hexdigest() != artifact.digest:
             raise StoreError(f"{artifact.kind} {artifact.path} changed while it was read")
         return data
+
+
+def refuse_links(*folders: Path) -> None:
+    """Refuse folders of the store that lead elsewhere.
+
+    Raises:
+        StoreError: One is a symbolic link.
+    """
+    for folder in folders:
+        if folder.is_symlink():
+            raise StoreError(f"{folder} is a symbolic link (accepted: what the store wrote)")

@@ -88,7 +88,10 @@ class StageResultStorage(WritableFileSystem):
         match = _KEY.fullmatch(path)
         if match is None:
             raise ValueError(f"result key {path!r} (accepted: <stage>-<sha256>)")
-        return Path(self.root) / "prefect-results" / match[1] / f"{match[2]}.json"
+        file = Path(self.root) / "prefect-results" / match[1] / f"{match[2]}.json"
+        if any(step.is_symlink() for step in (file, file.parent, file.parent.parent)):
+            raise ValueError(f"result key {path!r}: {file} leads elsewhere by a symbolic link")
+        return file
 
 
 def refuse(content: bytes, key: str) -> str | None:

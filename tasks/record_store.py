@@ -17,7 +17,7 @@ from gvr_core.locks import file_lock
 from gvr_core.untrusted import read_regular
 from tasks.files import temporary_name, write_atomically
 from tasks.measure import Measurement
-from tasks.objects import ObjectStore
+from tasks.objects import ObjectStore, refuse_links
 from tasks.records import Artifact, StageRecord, canonical_json, check_key, check_stage_name
 
 MAX_RECORD_BYTES = 64 * 2**20
@@ -74,9 +74,12 @@ class RecordStore(ObjectStore):
         """Where the record of a stage and key lies.
 
         Raises:
-            StoreError: The name or the key is not one.
+            StoreError: The name or the key is not one, or a folder on the way is a symbolic
+                link, which may lead out of the store.
         """
-        return self.root / "records" / check_stage_name(stage) / f"{check_key(key)}.json"
+        path = self.root / "records" / check_stage_name(stage) / f"{check_key(key)}.json"
+        refuse_links(path.parent.parent, path.parent)
+        return path
 
     def lock_path(self, key: str) -> Path:
         """The file that is locked while a key is computed."""
@@ -106,6 +109,8 @@ class RecordStore(ObjectStore):
 
     def _find(self, stage: str, key: str) -> tuple[StageRecord | None, str]:
         path = self.record_path(stage, key)
+        if path.is_symlink():
+            return None, "unreadable"
         if not path.exists():
             return None, "none"
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from threading import RLock
@@ -216,9 +216,36 @@ def _graph(content: bytes, path: Path) -> onnx.ModelProto:
         model = onnx.load_model_from_string(content)
     except Exception as error:  # protobuf's errors have no common class
         raise ModelError(f"is no ONNX graph: {error}", path=path) from error
-    if any(onnx.external_data_helper.uses_external_data(t) for t in model.graph.initializer):
-        raise ModelError("keeps its weights in other files", path=path, accepted="a single file")
+    for graph in _graphs(model.graph):
+        if any(map(onnx.external_data_helper.uses_external_data, _tensors(graph))):
+            raise ModelError(
+                "keeps its weights in other files", path=path, accepted="a single file"
+            )
+        values = (*graph.input, *graph.output, *graph.initializer)
+        names = [value.name for value in values]
+        names += [name for node in graph.node for name in (*node.input, *node.output)]
+        # Of bytes that are no UTF-8, the library makes bytes.
+        if not all(isinstance(name, str) for name in names):
+            raise ModelError("holds names that are no text", path=path, accepted="UTF-8")
     return model
+
+
+def _graphs(graph: onnx.GraphProto) -> Iterator[onnx.GraphProto]:
+    """A graph and those inside its nodes."""
+    yield graph
+    for attribute in (attribute for node in graph.node for attribute in node.attribute):
+        for inner in (attribute.g, *attribute.graphs) if attribute.ByteSize() else ():
+            if inner.ByteSize():
+                yield from _graphs(inner)
+
+
+def _tensors(graph: onnx.GraphProto) -> Iterator[onnx.TensorProto]:
+    """The tensors that a graph itself holds."""
+    yield from graph.initializer
+    for sparse in graph.sparse_initializer:
+        yield from (sparse.values, sparse.indices)
+    for attribute in (attribute for node in graph.node for attribute in node.attribute):
+        yield from (attribute.t, *attribute.tensors)
 
 
 def _all_masks(content: bytes, path: Path) -> bytes:
@@ -245,12 +272,16 @@ def _before_choice(makers: Mapping[str, onnx.NodeProto], output: str, path: Path
     that is added, or the shape that the product is brought into, still belongs to it.
     """
     name, belongs = output, output
-    while name in makers:
+    passed: set[str] = set()
+    while name in makers and name not in passed:
+        passed.add(name)
         node = makers[name]
         if node.op_type == "Gemm":
             return name
         if node.op_type == "MatMul":
             return belongs
+        if not node.input:
+            break
         name, belongs = node.input[0], name
     raise ModelError(f"has no matrix product above {output}", path=path)
 

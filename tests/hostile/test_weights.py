@@ -107,3 +107,45 @@ def test_dtypes_that_not_everybody_has(name: str, dtype: str) -> None:
 def test_what_is_spoilt_was_good() -> None:
     for name in NAMES:
         assert all(read(name, seed) for seed in seeds(name))
+
+
+def graph(names: list[str], **node: list[str]) -> bytes:
+    """A decoder whose outputs are made by one node each, in ONNX."""
+    from onnx import TensorProto, helper
+
+    from gvr_core.models.sam_onnx import DECODER_INPUTS
+
+    def value(name: str) -> object:
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, [1])
+
+    nodes = [helper.make_node("Relu", node.get(name, ["point_coords"]), [name]) for name in names]
+    made = helper.make_graph(nodes, "g", list(map(value, DECODER_INPUTS)), list(map(value, names)))
+    return bytes(helper.make_model(made).SerializeToString())
+
+
+OUTPUTS = ["masks", "iou_predictions", "low_res_masks"]
+
+
+def test_graphs_that_run_in_circles_or_begin_nowhere() -> None:
+    assert not read("onnx", graph(OUTPUTS))
+    assert not read("onnx", graph(OUTPUTS, low_res_masks=["low_res_masks"]))
+    assert not read("onnx", graph(OUTPUTS, low_res_masks=["masks"], masks=["low_res_masks"]))
+    assert not read("onnx", graph(OUTPUTS, low_res_masks=[]))
+
+
+def test_weights_in_other_files_inside_of_nodes(tmp_path: Path) -> None:
+    import onnx
+
+    from gvr_core.errors import ModelError
+    from gvr_core.models.sam_onnx import _graph
+
+    model = onnx.load_model_from_string(seeds("onnx")[0])
+    tensor = onnx.TensorProto(name="t", data_type=1, dims=[1], data_location=1)
+    tensor.external_data.add(key="location", value="../../etc/passwd")
+    inner = onnx.helper.make_graph([], "inner", [], [], [tensor])
+    for name, value in (("value", tensor), ("body", inner)):
+        spoilt = onnx.ModelProto()
+        spoilt.CopyFrom(model)
+        spoilt.graph.node.append(onnx.helper.make_node("Loop", [], ["y"], **{name: value}))
+        with pytest.raises(ModelError, match="in other files"):
+            _graph(spoilt.SerializeToString(), tmp_path / "a.onnx")
