@@ -59,7 +59,7 @@ def fuzz(name: str, runs: int, seconds: int, seed: int, folder: Path) -> Run:
         seed: Of the fuzzer's random numbers.
         folder: Gets ``corpus/<name>/`` and ``findings/``, and keeps what is there.
     """
-    from hostile_targets import TARGETS
+    from hostile_targets import BROKEN, TARGETS
 
     corpus, findings = folder / "corpus" / name, folder / "findings"
     for place in (corpus, findings):
@@ -67,14 +67,14 @@ def fuzz(name: str, runs: int, seconds: int, seed: int, folder: Path) -> Run:
     words = folder / f"{name}.dict"
     lines = [
         '"' + "".join(f"\\x{byte:02x}" for byte in word.encode()) + '"\n'
-        for word in TARGETS[name].words
+        for word in TARGETS.get(name, BROKEN).words
     ]
     words.write_text("".join(lines))
     command = [
         *(sys.executable, str(ROOT / "benchmarks" / "fuzz_child.py")),
         *(name, str(findings), str(INPUT_MEMORY)),
         *(f"-runs={runs}", f"-max_total_time={seconds}", f"-seed={seed}"),
-        *(f"-timeout={INPUT_SECONDS}", "-rss_limit_mb=6000", "-max_len=8192", "-len_control=20"),
+        *(f"-timeout={INPUT_SECONDS}", "-rss_limit_mb=6000", "-max_len=65536", "-len_control=20"),
         *("-print_final_stats=1", f"-artifact_prefix={findings}/{name}-", "-detect_leaks=0"),
         *([f"-dict={words}"] if lines else []),
         str(corpus),

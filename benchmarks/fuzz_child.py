@@ -7,7 +7,9 @@ import resource
 import sys
 import tempfile
 import traceback
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import atheris
 
@@ -23,9 +25,9 @@ def main() -> None:
     name, crashes, memory = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]) * 2**20
     sys.path.extend(str(ROOT / folder) for folder in ("", "tests", "tests/reports"))
     with atheris.instrument_imports(include=list(OURS), exclude=list(COMPILED)):
-        from hostile_targets import TARGETS
+        from hostile_targets import BROKEN, TARGETS
 
-        target = TARGETS[name]
+        target = {BROKEN.name: BROKEN, **TARGETS}[name]
         folder = Path(tempfile.mkdtemp(dir=Path("/dev/shm") if Path("/dev/shm").is_dir() else None))
         seeds = target.seeds(_made(folder / "seeds"))
         place = _made(folder / "run")
@@ -46,8 +48,28 @@ def main() -> None:
         if grown > memory:
             _keep(crashes, name, "memory", data, f"the peak grew by {grown / 2**20:.0f} MiB")
 
-    atheris.Setup([sys.argv[0], *sys.argv[4:]], one)
+    options: dict[str, Any] = {}
+    if seeds[0][:1] in (b"[", b"{"):
+        options["custom_mutator"] = _json_mutator()
+    atheris.Setup([sys.argv[0], *sys.argv[4:]], one, **options)
     atheris.Fuzz()
+
+
+def _json_mutator() -> Callable[[bytes, int, int], bytes]:
+    """Half of the texts are changed as JSON: few that are changed as bytes get past the parser."""
+    from hostile_json import mutated
+
+    def mutate(data: bytes, most: int, seed: int) -> bytes:
+        if seed % 2:
+            try:
+                made = mutated(data, seed)
+            except (ValueError, RecursionError):
+                made = b""
+            if 0 < len(made) <= most:
+                return made
+        return bytes(atheris.Mutate(data, len(data)) if data else b"{}")
+
+    return mutate
 
 
 def _outcome(read: object, data: bytes, place: Path) -> Exception | None:

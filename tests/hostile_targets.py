@@ -750,6 +750,17 @@ TARGETS: dict[str, Target] = {
 """Every parser, by name."""
 
 
+def _read_broken(data: bytes, folder: Path) -> None:
+    if data.startswith(b"{"):
+        raise KeyError("broken on purpose")
+    if data.startswith(b"["):
+        bytearray(b"x") * 2**28
+
+
+BROKEN = Target("broken", _read_broken, lambda _: [b"12", b"34"], ("{", "["))
+"""A parser that is broken on purpose: the fuzzer has to find how."""
+
+
 def evil(command: str) -> bytes:
     """A pickle that runs a shell command when it is loaded."""
 
