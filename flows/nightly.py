@@ -77,7 +77,7 @@ def nightly(
         tracking_uri=(tracking_uri or default_tracking_uri()) if mlflow else None,
     )
     config = prepare(job)
-    lock = home() / "prefect" / f"nightly-{config.name}.lock"
+    lock = home() / "locks" / f"nightly-{config.name}.lock"
     try:
         # The kernel lets go of it however the run ends, so no slot stays taken.
         with file_lock(lock, timeout=0), prefect_runtime(Store(job.store), quiet=False):
