@@ -79,7 +79,7 @@ def nightly(
     config = prepare(job)
     known = Store(job.store)
     known.check()
-    lock = home() / "prefect" / f"nightly-{config.name}.lock"
+    lock = home() / "locks" / f"nightly-{config.name}.lock"
     try:
         # The kernel lets go of it however the run ends, so no slot stays taken.
         with file_lock(lock, timeout=0), prefect_runtime(known, quiet=False):

@@ -91,10 +91,10 @@ class WritePoints:
     def _watch_writers(self) -> None:
         import pyarrow.parquet
 
-        import tasks.arrays
+        from tasks.arrays import ArrayWriter
 
         real_bytes, real_text, real_sync = Path.write_bytes, Path.write_text, os.fsync
-        real_save, real_table = tasks.arrays.save_file, pyarrow.parquet.write_table
+        real_append, real_table = ArrayWriter.append, pyarrow.parquet.write_table
 
         def write_bytes(path: Path, data: Any) -> int:
             if self._inside(path):
@@ -109,14 +109,14 @@ class WritePoints:
                 self.reach(f"half of {path.suffix}", lambda: real_text(path, half, *rest, **named))
             return real_text(path, data, *rest, **named)
 
-        def save_file(arrays: Any, path: Any, **named: Any) -> None:
+        def append(writer: ArrayWriter, name: str, values: Any) -> None:
             def tear() -> None:
-                real_save(arrays, path, **named)
-                os.truncate(path, Path(path).stat().st_size // 2)
+                real_append(writer, name, values.reshape(-1)[: values.size // 2])
+                writer._file.flush()
 
-            if self._inside(path):
+            if self._inside(writer._file.name):
                 self.reach("half of .safetensors", tear)
-            real_save(arrays, path, **named)
+            real_append(writer, name, values)
 
         def write_table(table: Any, path: Any, **named: Any) -> None:
             def tear() -> None:
@@ -133,7 +133,7 @@ class WritePoints:
 
         Path.write_bytes = write_bytes  # type: ignore[method-assign]
         Path.write_text = write_text  # type: ignore[method-assign, assignment]
-        tasks.arrays.save_file = save_file
+        ArrayWriter.append = append  # type: ignore[method-assign]
         pyarrow.parquet.write_table = write_table
         os.fsync = fsync
 

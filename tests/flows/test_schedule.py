@@ -80,7 +80,7 @@ def running(
     finally:
         process.send_signal(signal.SIGINT)
         try:
-            process.wait(60)
+            process.wait(240)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
@@ -145,14 +145,14 @@ def test_missed_runs_are_not_made_up_for(tmp_path: Path, environment: dict[str, 
     arguments = ["flows", "schedule", str(suite), "--interval", "10s", "--no-mlflow"]
     with running(arguments, environment, tmp_path, "killed") as process:
         url = poll(lambda: server_url(tmp_path / "home"), 240, process)
-        poll(lambda: planned(url), 60, process)
+        poll(lambda: planned(url), 240, process)
         process.kill()
         process.wait()
     time.sleep(15)  # so long that runs are missed
     arguments[4] = "1h"
     with running(arguments, environment, tmp_path, "again") as process:
         url = poll(lambda: server_url(tmp_path / "home"), 240, process)
-        poll(lambda: len(planned(url)) and min(planned(url)) > time.time() - 5, 60, process)
+        poll(lambda: len(planned(url)) and min(planned(url)) > time.time() - 5, 240, process)
 
 
 def planned(url: str) -> list[float]:
