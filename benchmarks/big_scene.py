@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from render_speed import surface_scene
+from render_scene import surface_scene
 
 from datasets.base import GroundTruth, SceneData
 from gvr_core.cameras import Camera, intrinsics, look_at

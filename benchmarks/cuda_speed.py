@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 import typer
 from measuring import Spread, spread_of
-from render_speed import corner_camera, surface_scene
+from render_scene import corner_camera, surface_scene
 from rich.console import Console
 
 from gvr_core.errors import ConfigError

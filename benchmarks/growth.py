@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from measuring import Line, Spread, straight_fit
-from render_speed import surface_scene
+from render_scene import surface_scene
 
 from gvr_core.books import Books
 from gvr_core.cameras import Camera, intrinsics, look_at

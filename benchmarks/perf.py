@@ -21,15 +21,8 @@ import typer
 from hot_spots import HotSpot, profile
 from perf_plots import growth_picture
 from perf_sections import SECTIONS, sections
-from render_speed import (
-    SIZES,
-    RenderTimes,
-    TwinTimes,
-    corner_camera,
-    render_times,
-    surface_scene,
-    twin_times,
-)
+from render_scene import corner_camera, surface_scene
+from render_speed import SIZES, RenderTimes, TwinTimes, render_times, twin_times
 from rich.console import Console
 
 from datasets.gallery import GalleryDataset

@@ -1,13 +1,10 @@
 """How fast the CPU renderer is: ``python benchmarks/render_speed.py``.
 
 Prints the time of each stage (minima over repeats), the ratio to the torch reference, and the
-ratio of blending to what its arithmetic alone would take on the same machine in the same minute.
+ratio of blending to what its arithmetic alone would take on the same machine in the same minute;
+then how renders grow with Gaussians and with pixels, and what pictures and masks cost together.
 
-The scenes are surfaces, as captures are: half of the Gaussians lie on the six sides of a room of
-6 x 4 x 3, half on twelve spheres in it, flat along the surface (a tenth as thick as wide), 0.6 of
-their mean spacing wide with a log-normal spread of 0.5, opacities sigmoid(normal(1.5, 2)),
-spherical harmonics of degree 3. The camera stands in a corner of the room and sees about 54 % of
-them. More Gaussians are smaller ones, so that the picture stays the same.
+The scenes are those of ``render_scene``.
 """
 
 from __future__ import annotations
@@ -15,17 +12,19 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numba import njit
 from numpy.typing import NDArray
+from render_growth import growth_table, measure_growth, measure_sharing, sharing_table
+from render_scene import corner_camera, seconds_of, surface_scene
 from rich.console import Console
 from rich.table import Table
 
-from gvr_core.cameras import Camera, intrinsics, look_at
+from gvr_core.cameras import Camera
 from gvr_core.gaussians import Gaussians
 from gvr_core.rendering.blending import STATE, blend_row
 from gvr_core.rendering.layout import MEAN_X, MEAN_Y, T0, T_MIN, TILE, A, B, C
@@ -36,52 +35,6 @@ SIZES = ((640, 480), (988, 731))
 TORCH_BAR, BLEND_BAR = 20.0, 7.0
 BLEND_COUNT = 200_000
 """The bar of blending holds up to so many Gaussians."""
-
-
-def surface_scene(n: int, seed: int = 0) -> Gaussians:
-    """The scene of the module's description.
-
-    Args:
-        n: Number of Gaussians.
-        seed: Of the random numbers.
-    """
-    rng = np.random.default_rng(seed)
-    room, on_walls = np.array([6.0, 4.0, 3.0]), n // 2
-    centres, radii = (rng.random((12, 3)) - 0.5) * room * 0.7, rng.uniform(0.2, 0.5, 12)
-    side = rng.integers(0, 6, on_walls)
-    walls = (rng.random((on_walls, 3)) - 0.5) * room
-    rows = np.arange(on_walls)
-    walls[rows, side % 3] = np.where(side < 3, -0.5, 0.5) * room[side % 3]
-    wall_normals = np.zeros((on_walls, 3))
-    wall_normals[rows, side % 3] = 1
-    ball = rng.integers(0, 12, n - on_walls)
-    outward = rng.normal(size=(n - on_walls, 3))
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    means = np.concatenate([walls, centres[ball] + radii[ball, None] * outward])
-    normals = np.concatenate([wall_normals, outward])
-
-    area = 2 * (6 * 4 + 6 * 3 + 4 * 3) + 4 * np.pi * (radii**2).sum()
-    scales = 0.6 * np.sqrt(area / n) * np.exp(rng.normal(0, 0.5, (n, 3)))
-    scales[:, 2] *= 0.1
-    quats = np.column_stack([1 + normals[:, 2], np.cross([0, 0, 1], normals)])
-    quats[np.linalg.norm(quats, axis=1) < 1e-6] = (0, 1, 0, 0)
-    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-    sh = rng.normal(0, 0.1, (n, 16, 3))
-    sh[:, 0] = rng.normal(0, 1, (n, 3))
-    opacities = 1 / (1 + np.exp(-rng.normal(1.5, 2, n)))
-    arrays = (np.asarray(a, np.float32) for a in (means, scales, quats, opacities, sh))
-    return Gaussians(*arrays)
-
-
-def corner_camera(width: int, height: int) -> Camera:
-    pose = look_at([2.5, 1.2, 0.3], [-1, -0.5, -0.2], [0, 0, 1])
-    return Camera(intrinsics(60, width, height), pose, width, height)
-
-
-def seconds_of(work: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
-    start = clock()
-    work()
-    return clock() - start
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
@@ -280,6 +233,8 @@ def main() -> None:
         "where its alpha is 1/255 or more, before the stop. "
         f"Bar: {BLEND_BAR:.0f}, up to {BLEND_COUNT:,} Gaussians."
     )
+    console.print(growth_table(measure_growth(min(arguments.repeats, 5))))
+    console.print(sharing_table(measure_sharing()))
     if not arguments.without_torch:
         console.print(torch_table(renderer, arguments.repeats))
 

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import torch
 from gsplat_double import GsplatDouble, project, tile_lists
+from render_scene import corner_camera, surface_scene
 from render_scenes import camera, cloud, front_camera, gaussians_of, one_torch_thread
-from render_speed import corner_camera, surface_scene
 
 from flows.suite import parse_suite
 from gvr_core.cameras import Camera, look_at
