@@ -100,6 +100,13 @@ class Gaussians:
             self.sh[flags],
         )
 
+    def contiguous(self) -> Gaussians:
+        """The same set with every array in C order; itself where they are already."""
+        arrays = (self.means, self.scales, self.quats, self.opacities, self.sh)
+        if all(array.flags.c_contiguous for array in arrays):
+            return self
+        return Gaussians(*(np.ascontiguousarray(array) for array in arrays))
+
     def recoloured(self, rgb: FloatArray) -> Gaussians:
         """The same Gaussians with flat colours, seen alike from everywhere.
 

@@ -8,18 +8,20 @@ stops before the transmittance T falls to 1e-4.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from gvr_core.cameras import Camera
 from gvr_core.errors import unknown_name
 from gvr_core.gaussians import Gaussians
 
 FloatArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
 
 LOW_PASS = 0.3
 """Added to the diagonal of the projected covariance, pixels squared."""
@@ -65,6 +67,7 @@ class Renderer(Protocol):
         camera: Camera,
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         mask: FloatArray | None = None,
+        shown: BoolArray | None = None,
     ) -> Rendering:
         """Draw one picture.
 
@@ -74,8 +77,96 @@ class Renderer(Protocol):
             background: Colour behind everything, each channel in [0, 1].
             mask: (H, W) float32 in [0, 1]; where given, the Gaussians' weights inside and
                 outside of it are summed in the same pass.
+            shown: (N,) flags of the Gaussians to draw; None for all. The picture is that of the
+                subset alone, and the weights of the others are 0.
         """
         ...
+
+    def render_many(
+        self,
+        gaussians: Gaussians,
+        cameras: Sequence[Camera],
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        shown: BoolArray | None = None,
+    ) -> Iterator[Rendering]:
+        """Draw several pictures of the same set: what :meth:`render` gives, bit for bit.
+
+        Args:
+            gaussians: The set to draw.
+            cameras: Where from.
+            background: As of :meth:`render`.
+            shown: As of :meth:`render`.
+
+        Yields:
+            A picture for each camera, in order; few are held at a time.
+        """
+        ...
+
+    def weights(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        masks: BoolArray,
+        shown: BoolArray | None = None,
+    ) -> sparse.csr_array:
+        """How much of what is under each mask is each Gaussian's.
+
+        Args:
+            gaussians: The set to draw.
+            camera: The camera of the masks.
+            masks: (K, H, W) bool; they may overlap.
+            shown: As of :meth:`render`.
+
+        Returns:
+            (N, K) float32, sparse: the sum over each mask's pixels of alpha_g T. Column k is
+            ``weight_inside`` of :meth:`render` with mask k.
+        """
+        ...
+
+
+def one_by_one(
+    renderer: Renderer,
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    shown: BoolArray | None = None,
+) -> Iterator[Rendering]:
+    """The plain loop that :meth:`Renderer.render_many` must agree with.
+
+    Args:
+        renderer: Draws the pictures.
+        gaussians: As of :meth:`Renderer.render_many`, as the next three.
+        cameras: See ``gaussians``.
+        background: See ``gaussians``.
+        shown: See ``gaussians``.
+    """
+    for camera in cameras:
+        yield renderer.render(gaussians, camera, background, shown=shown)
+
+
+def mask_by_mask(
+    renderer: Renderer,
+    gaussians: Gaussians,
+    camera: Camera,
+    masks: BoolArray,
+    shown: BoolArray | None = None,
+) -> sparse.csr_array:
+    """The plain way to :meth:`Renderer.weights`: one render for each mask.
+
+    Args:
+        renderer: Draws the pictures.
+        gaussians: As of :meth:`Renderer.weights`, as the next three.
+        camera: See ``gaussians``.
+        masks: See ``gaussians``.
+        shown: See ``gaussians``.
+    """
+    columns = [np.zeros((len(gaussians), 0), np.float32)]
+    for mask in masks:
+        drawn = renderer.render(gaussians, camera, mask=mask.astype(np.float32), shown=shown)
+        if drawn.weight_inside is None:
+            raise TypeError(f"the renderer {renderer.name} sums no weights under a mask")
+        columns.append(drawn.weight_inside[:, None])
+    return sparse.csr_array(np.concatenate(columns, axis=1))
 
 
 def _numba() -> Renderer:

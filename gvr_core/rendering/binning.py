@@ -48,7 +48,10 @@ def bin_piece(
     stop: int,
     rows: FloatArray,
     tiles_x: int,
-    tiles_y: int,
+    first_column: int,
+    end_column: int,
+    first_line: int,
+    end_line: int,
     cursor: NDArray[np.int64],
     pairs: IntArray,
     emit: bool,
@@ -59,8 +62,11 @@ def bin_piece(
         start: First Gaussian.
         stop: One past the last.
         rows: (n, 16) float32, front to back.
-        tiles_x: Tiles in a row.
-        tiles_y: Rows of tiles.
+        tiles_x: Tiles in a row of the picture.
+        first_column: First column of tiles that is drawn.
+        end_column: One past the last.
+        first_line: First row of tiles that is drawn.
+        end_line: One past the last.
         cursor: (tiles,) int64; counts up, or holds where this piece's next pair belongs.
         pairs: (P,) int32, written where ``emit``.
         emit: False counts, True writes.
@@ -73,8 +79,9 @@ def bin_piece(
         width = _ONE / a
         slant = b * width
         rightmost_y = row[RIGHTMOST_Y]
-        first_row = max(_clamped_tile(np.ceil(mean_y - extent_y - _HALF), tiles_y), 0)
-        last_row = min(_clamped_tile(np.floor(mean_y + extent_y - _HALF), tiles_y), tiles_y - 1)
+        top, bottom = np.ceil(mean_y - extent_y - _HALF), np.floor(mean_y + extent_y - _HALF)
+        first_row = max(_clamped_tile(top, end_line), first_line)
+        last_row = min(_clamped_tile(bottom, end_line), end_line - 1)
         for tile_y in range(first_row, last_row + 1):
             low = np.float32(tile_y * TILE) + _HALF - mean_y
             high = np.float32(tile_y * TILE) + _LAST - mean_y
@@ -86,12 +93,12 @@ def bin_piece(
             )
             left = mean_x + slant * left_y - width * math.sqrt(max(limit - left_v * left_v, _ZERO))
             # From edges in pixels to the columns whose centres lie between them.
-            first_column = np.ceil(max(left - _SLACK - _HALF, -_ONE))
-            last_column = np.floor(right + _SLACK - _HALF)
-            if not first_column <= last_column:
+            leftmost = np.ceil(max(left - _SLACK - _HALF, -_ONE))
+            rightmost = np.floor(right + _SLACK - _HALF)
+            if not leftmost <= rightmost:
                 continue
-            first_tile = max(_clamped_tile(first_column, tiles_x), 0)
-            last_tile = min(_clamped_tile(last_column, tiles_x), tiles_x - 1)
+            first_tile = max(_clamped_tile(leftmost, end_column), first_column)
+            last_tile = min(_clamped_tile(rightmost, end_column), end_column - 1)
             for tile in range(tile_y * tiles_x + first_tile, tile_y * tiles_x + last_tile + 1):
                 place = cursor[tile]
                 if emit:

@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from gvr_core.rendering.base import ALPHA_MAX, TRANSMITTANCE_MIN
 from gvr_core.rendering.compiled import inlined, kernel, prefer_wide_vectors, prefetch_row
 from gvr_core.rendering.layout import (
     BLUE,
-    COLUMN,
     DEPTH,
     GREEN,
-    HIGHEST_X,
     MEAN_X,
     MEAN_Y,
     RED,
-    REST_X,
-    REST_Y,
     ROW,
     T0,
     T_MIN,
@@ -28,93 +21,27 @@ from gvr_core.rendering.layout import (
     B,
     C,
 )
+from gvr_core.rendering.tile_rows import (
+    BATCH,
+    HALF,
+    HIGHEST_ALPHA,
+    ONE,
+    STOP,
+    ZERO,
+    aligned,
+    fetch,
+    living_lines,
+    power_of_two,
+)
 
 FloatArray = NDArray[np.float32]
 IntArray = NDArray[np.int32]
-
-_ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
-_ALPHA_MAX, _STOP = np.float32(ALPHA_MAX), np.float32(TRANSMITTANCE_MIN)
-_CACHE_LINE = 16
-"""In numbers of four bytes."""
-_LAST = np.float32(TILE - 1)
-_SLACK = np.float32(1e-3)
-"""Pixels; keeps rounding of the covered lines from taking the decision on alpha."""
-_BATCH = 32
-"""Gaussians between two looks at which rows of a tile are finished."""
 
 # What is kept of a row of sixteen pixels: T (negative once blending has stopped there), the sums
 # of colour and depth, and the median depth.
 _T, _R, _G, _B, _D, _MEDIAN = 0, TILE, 2 * TILE, 3 * TILE, 4 * TILE, 5 * TILE
 STATE = 6 * TILE
 """Numbers kept of a row of pixels."""
-
-# 2^t on [-1, 0]: the polynomial of degree 5 with the least relative error, 7.5e-8.
-_P0, _P1 = np.float32(0.9999999250634852), np.float32(0.6931422525915856)
-_P2, _P3 = np.float32(0.24017218923634062), np.float32(0.05527972254849632)
-_P4, _P5 = np.float32(0.00918861169470596), np.float32(0.0009387883226651354)
-
-
-@inlined
-def _aligned(n: int) -> FloatArray:
-    """(n,) float32 from the start of a cache line: a vector across two lines costs double."""
-    room = np.empty(n + _CACHE_LINE, np.float32)
-    skip = (-room.ctypes.data // 4) % _CACHE_LINE
-    return room[skip : skip + n]
-
-
-@inlined
-def _living_lines(state: FloatArray) -> tuple[int, int]:
-    """First and last row of the tile that is still being blended; (16, -1) if none is."""
-    first, last = TILE, -1
-    for y in range(TILE):
-        line, living = state[y], np.int32(0)
-        for x in range(TILE):
-            living += np.int32(line[_T + x] > _ZERO)
-        if living > 0:
-            first, last = min(first, y), y
-    return first, last
-
-
-@inlined
-def _fetch(
-    rows: FloatArray,
-    pairs: IntArray,
-    start: int,
-    size: int,
-    left_centre: np.float32,
-    top_centre: np.float32,
-    batch: FloatArray,
-    lines_of: IntArray,
-) -> None:
-    """Bring the next Gaussians of a tile into the cache, in coordinates of the tile.
-
-    The processor guesses wrong how many lines each one covers, which costs little where the
-    numbers are known long before they are needed.
-    """
-    for n in range(size):
-        i = pairs[start + n]
-        for k in range(ROW):
-            batch[n, k] = rows[i, k]
-        mean_x = (batch[n, MEAN_X] - left_centre) + batch[n, REST_X]
-        mean_y = (batch[n, MEAN_Y] - top_centre) + batch[n, REST_Y]
-        low, high = _covered_lines(batch[n], -mean_x, _LAST - mean_x)
-        lines_of[n, 0] = np.int32(max(np.ceil(mean_y + low), _ZERO))
-        lines_of[n, 1] = np.int32(max(min(np.floor(mean_y + high), _LAST), -_ONE))
-        batch[n, MEAN_X], batch[n, MEAN_Y] = -batch[n, A] * mean_x, mean_y
-
-
-@inlined
-def _covered_lines(
-    row: FloatArray, left: np.float32, right: np.float32
-) -> tuple[np.float32, np.float32]:
-    """Lowest and highest dy at which the ellipse alpha = 1/255 has dx in [left, right]."""
-    a, b, c, column = row[A], row[B], row[C], row[COLUMN]
-    ab, ac, most = a * b, a * c, (row[T0] - T_MIN) * (b * b + c * c)
-    x = min(max(row[HIGHEST_X], left), right)
-    high = (ab * x + math.sqrt(max(most - (ac * x) * (ac * x), _ZERO))) * column
-    x = min(max(-row[HIGHEST_X], left), right)
-    low = (ab * x - math.sqrt(max(most - (ac * x) * (ac * x), _ZERO))) * column
-    return low - _SLACK, high + _SLACK
 
 
 @inlined
@@ -149,16 +76,11 @@ def blend_row(
     for x in range(TILE):
         u = u_left + a * np.float32(x)
         t = t_row - u * u
-        s = max(t, -_ONE)
-        power = _P0 + s * (_P1 + s * (_P2 + s * (_P3 + s * (_P4 + s * _P5))))
-        power *= power
-        power *= power
-        power *= power
-        alpha = min(power, _ALPHA_MAX)
+        alpha = min(power_of_two(t), HIGHEST_ALPHA)
         before = state[_T + x]
         after = before - alpha * before
         hit = t >= T_MIN
-        goes_on = hit & (after > _STOP)
+        goes_on = hit & (after > STOP)
         left = after if goes_on else before
         weight = before - left
         stopped = -abs(before) if hit else before
@@ -168,7 +90,7 @@ def blend_row(
         state[_B + x] += weight * blue
         state[_D + x] += weight * depth
         median = state[_MEDIAN + x]
-        state[_MEDIAN + x] = depth if (before > _HALF) & (left <= _HALF) else median
+        state[_MEDIAN + x] = depth if (before > HALF) & (left <= HALF) else median
         if mask is not None and sums is not None:
             sums[x] += weight * mask[x]
             sums[TILE + x] += weight * mask[TILE + x]
@@ -211,32 +133,32 @@ def blend_tiles(
         outside: (P,) float32, likewise of (1 - mask) * alpha T.
     """
     height, width = alpha.shape
-    state = _aligned(TILE * STATE).reshape((TILE, STATE))
-    batch, lines_of = np.empty((_BATCH, ROW), np.float32), np.empty((_BATCH, 2), np.int32)
+    state = aligned(TILE * STATE).reshape((TILE, STATE))
+    batch, lines_of = np.empty((BATCH, ROW), np.float32), np.empty((BATCH, 2), np.int32)
     if mask is not None:
         tile_mask = np.zeros((TILE, 2 * TILE), np.float32)
         sums = np.empty(2 * TILE, np.float32)
     for tile in range(start, stop):
         left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         columns, lines = min(TILE, width - left), min(TILE, height - top)
-        state[:, :] = _ZERO
+        state[:, :] = ZERO
         for y in range(TILE):
             for x in range(TILE):
-                state[y, _T + x] = _ONE if (y < lines and x < columns) else -_ONE
+                state[y, _T + x] = ONE if (y < lines and x < columns) else -ONE
         if mask is not None:
             for y in range(lines):
                 for x in range(columns):
                     tile_mask[y, x] = mask[top + y, left + x]
-                    tile_mask[y, TILE + x] = _ONE - mask[top + y, left + x]
-        left_centre, top_centre = np.float32(left) + _HALF, np.float32(top) + _HALF
+                    tile_mask[y, TILE + x] = ONE - mask[top + y, left + x]
+        left_centre, top_centre = np.float32(left) + HALF, np.float32(top) + HALF
         begin, end = first_pair[tile], first_pair[tile + 1]
-        for first_of_batch in range(begin, end, _BATCH):
-            top_line, bottom_line = _living_lines(state)
+        for first_of_batch in range(begin, end, BATCH):
+            top_line, bottom_line = living_lines(state)
             if top_line > bottom_line:
                 break
-            size = min(_BATCH, end - first_of_batch)
-            _fetch(rows, pairs, first_of_batch, size, left_centre, top_centre, batch, lines_of)
-            for pair in range(first_of_batch + size, min(first_of_batch + size + _BATCH, end)):
+            size = min(BATCH, end - first_of_batch)
+            fetch(rows, pairs, first_of_batch, size, left_centre, top_centre, batch, lines_of)
+            for pair in range(first_of_batch + size, min(first_of_batch + size + BATCH, end)):
                 prefetch_row(rows, pairs[pair])
             for n in range(size):
                 row = batch[n]
@@ -244,7 +166,7 @@ def blend_tiles(
                 a, b, c, t0 = row[A], row[B], row[C], row[T0]
                 red, green, blue, depth = row[RED], row[GREEN], row[BLUE], row[DEPTH]
                 if mask is not None:
-                    sums[:] = _ZERO
+                    sums[:] = ZERO
                 for y in range(max(lines_of[n, 0], top_line), min(lines_of[n, 1], bottom_line) + 1):
                     dy = np.float32(y) - mean_y
                     v = c * dy
@@ -260,12 +182,12 @@ def blend_tiles(
         for y in range(lines):
             for x in range(columns):
                 rest = abs(state[y, _T + x])
-                covered = _ONE - rest
+                covered = ONE - rest
                 rgb[top + y, left + x, 0] = state[y, _R + x] + rest * background[0]
                 rgb[top + y, left + x, 1] = state[y, _G + x] + rest * background[1]
                 rgb[top + y, left + x, 2] = state[y, _B + x] + rest * background[2]
                 alpha[top + y, left + x] = covered
                 expected_depth[top + y, left + x] = (
-                    state[y, _D + x] / covered if covered > _ZERO else _ZERO
+                    state[y, _D + x] / covered if covered > ZERO else ZERO
                 )
                 median_depth[top + y, left + x] = state[y, _MEDIAN + x]

@@ -5,9 +5,9 @@ piece of the work each, and plain Python threads hand the pieces out. So renders
 from any number of Python threads at once, which numba's default threading layer (workqueue)
 answers by ending the process, and a forked child can render, which GNU OpenMP does not allow.
 
-Numba's cache of compiled code notices changes in the file of a kernel only. No kernel therefore
-calls compiled code of another file, and the files whose constants are compiled in are made part
-of the name that a kernel is cached under.
+Numba's cache of compiled code notices changes in the file of a kernel only. The files whose
+constants and helpers are compiled in are therefore made part of the name that a kernel is cached
+under, and no kernel calls compiled code of any other file.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import itertools
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -31,6 +31,8 @@ codegen: Any = cgutils
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+Result = TypeVar("Result")
+
 _FASTMATH = {"contract", "arcp", "nsz"}
 """Fused multiply-add and reciprocals; no reordering of sums, so results do not depend on how a
 loop was vectorised."""
@@ -39,7 +41,7 @@ loop was vectorised."""
 def digest_of_shared_files(folder: Path) -> str:
     """Short digest of the files whose constants and helpers end up in kernels of other files."""
     digest = hashlib.sha256()
-    for name in ("base.py", "compiled.py", "layout.py"):
+    for name in ("base.py", "compiled.py", "layout.py", "tile_rows.py"):
         with contextlib.suppress(FileNotFoundError):  # an installation without sources
             digest.update((folder / name).read_bytes())
     return digest.hexdigest()[:12]
@@ -161,3 +163,25 @@ def run_pieces(work: Callable[[int], object], pieces: int, threads: int) -> None
     for future in futures:
         if not future.cancelled():
             future.result()
+
+
+def in_background(work: Callable[[], Result]) -> Future[Result]:
+    """Start work on another thread.
+
+    Args:
+        work: May itself use :func:`run_pieces`.
+    """
+    return _workers().submit(work)
+
+
+def result_of(future: Future[Result], work: Callable[[], Result]) -> Result:
+    """The result of :func:`in_background`, or its error.
+
+    Work that no thread has begun yet is done here, so that nobody waits for a thread that waits
+    for others.
+
+    Args:
+        future: What :func:`in_background` gave.
+        work: What it was given.
+    """
+    return work() if future.cancel() else future.result()

@@ -9,6 +9,7 @@ from gvr_core.cameras import Camera
 from gvr_core.errors import InputError
 
 FloatArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
 
 
 def checked_background(background: tuple[float, float, float]) -> FloatArray:
@@ -53,4 +54,45 @@ def checked_mask(mask: FloatArray | NDArray[np.bool_], camera: Camera) -> FloatA
         )
     if not ((array >= 0) & (array <= 1)).all():
         raise InputError("the mask holds a number outside [0, 1]", accepted="0 to 1, or bool")
+    return array
+
+
+def checked_masks(masks: BoolArray, camera: Camera) -> BoolArray:
+    """Several masks of one picture as a contiguous, writable array.
+
+    Args:
+        masks: (K, H, W) of the camera's picture, bool.
+        camera: The camera of the picture.
+
+    Raises:
+        InputError: for another shape or dtype.
+    """
+    array = np.require(masks, None, ["C", "A", "W"])
+    shape = (camera.height, camera.width)
+    if array.ndim != 3 or array.shape[1:] != shape or array.dtype != np.bool_:
+        raise InputError(
+            f"the masks have shape {array.shape} and dtype {array.dtype}",
+            accepted=f"bool of shape (K, {shape[0]}, {shape[1]})",
+        )
+    return array
+
+
+def checked_shown(shown: BoolArray | None, n: int) -> BoolArray:
+    """Which Gaussians to draw, as a contiguous, writable array.
+
+    Args:
+        shown: (N,) bool, or None for all.
+        n: N.
+
+    Raises:
+        InputError: for another shape or dtype.
+    """
+    if shown is None:
+        return np.ones(n, np.bool_)
+    array = np.require(shown, None, ["C", "A", "W"])
+    if array.shape != (n,) or array.dtype != np.bool_:
+        raise InputError(
+            f"the flags of what to draw have shape {array.shape} and dtype {array.dtype}",
+            accepted=f"bool of shape ({n},)",
+        )
     return array

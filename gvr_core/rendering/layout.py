@@ -15,6 +15,7 @@ the bracket and its square. The exponent is kept in base 2 and divided by 8:
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,15 @@ EXPONENT_SCALE = math.sqrt(math.log2(math.e) / 16)
 
 T_MIN = np.float32(math.log2(ALPHA_MIN) / 8)
 """The exponent at which alpha is 1/255."""
+
+
+class Window(NamedTuple):
+    """A rectangle of tiles."""
+
+    columns: tuple[int, int]
+    """First column of tiles, and one past the last."""
+    rows: tuple[int, int]
+    """First row of tiles, and one past the last."""
 
 
 def empty_rows(n: int) -> NDArray[np.float32]:

@@ -8,27 +8,43 @@ does not depend on the number of threads: every sum has one owner and one order.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from gvr_core.cameras import Camera
 from gvr_core.errors import ConfigError
 from gvr_core.gaussians import Gaussians
-from gvr_core.rendering.base import Rendering
+from gvr_core.rendering.base import Rendering, one_by_one
 from gvr_core.rendering.binning import bin_piece, cursors
 from gvr_core.rendering.blending import blend_tiles
-from gvr_core.rendering.compiled import available_threads, run_pieces
-from gvr_core.rendering.inputs import checked_background, checked_mask
-from gvr_core.rendering.layout import DEPTH, TILE, empty_rows
+from gvr_core.rendering.compiled import (
+    available_threads,
+    in_background,
+    result_of,
+    run_pieces,
+)
+from gvr_core.rendering.inputs import (
+    checked_background,
+    checked_mask,
+    checked_masks,
+    checked_shown,
+)
+from gvr_core.rendering.layout import DEPTH, TILE, Window, empty_rows
+from gvr_core.rendering.mask_sums import masked_tiles, sums_under_masks
 from gvr_core.rendering.projection import camera_numbers, project
 from gvr_core.rendering.sorting import radix_argsort
 from gvr_core.rendering.spherical_harmonics import shade
 from gvr_core.rendering.weights import sum_pairs
 
 FloatArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int32]
 
 _GAUSSIANS_A_PIECE = 16384
@@ -95,13 +111,77 @@ class NumbaRenderer:
         camera: Camera,
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         mask: FloatArray | None = None,
+        shown: BoolArray | None = None,
     ) -> Rendering:
         """Draw one picture; see :class:`gvr_core.rendering.base.Renderer`.
 
         Raises:
-            InputError: for a background or a mask that does not fit.
+            InputError: for a background, a mask or flags that do not fit.
         """
-        return self.render_timed(gaussians, camera, background, mask)[0]
+        return self.render_timed(gaussians, camera, background, mask, shown)[0]
+
+    def render_many(
+        self,
+        gaussians: Gaussians,
+        cameras: Sequence[Camera],
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        shown: BoolArray | None = None,
+    ) -> Iterator[Rendering]:
+        """Draw several pictures at a time; see :class:`gvr_core.rendering.base.Renderer`.
+
+        Each is drawn by a thread of its own, as far as there are threads: no thread then waits
+        for the steps of a render that only one can do. As many pictures as threads, and one
+        more, are held at a time.
+
+        Raises:
+            InputError: for a background or flags that do not fit.
+        """
+        at_once = min(self.threads, len(cameras))
+        if at_once < 2:
+            yield from one_by_one(self, gaussians, cameras, background, shown)
+            return
+        each = NumbaRenderer(self.threads // at_once)
+        laid_out = gaussians.contiguous()
+        flags = checked_shown(shown, len(gaussians))
+        waiting = iter(cameras)
+        running: deque[tuple[Future[Rendering], Callable[[], Rendering]]] = deque()
+        try:
+            while True:
+                while len(running) <= at_once and (camera := next(waiting, None)) is not None:
+                    work = partial(each.render, laid_out, camera, background, shown=flags)
+                    running.append((in_background(work), work))
+                if not running:
+                    return
+                yield result_of(*running.popleft())
+        finally:
+            for future, _ in running:
+                future.cancel()
+
+    def weights(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        masks: BoolArray,
+        shown: BoolArray | None = None,
+    ) -> sparse.csr_array:
+        """Weights under masks; see :class:`gvr_core.rendering.base.Renderer`.
+
+        One walk for all masks, without colours, over the tiles alone that they have pixels in.
+
+        Raises:
+            InputError: for masks or flags that do not fit.
+        """
+        masks, n = checked_masks(masks, camera), len(gaussians)
+        where = masked_tiles(masks, self.threads)
+        if where is None:
+            return sparse.csr_array((n, len(masks)), dtype=np.float32)
+        binned = self.project_and_bin(
+            gaussians, camera, shown=shown, window=where.window, colours=False
+        )
+        return sums_under_masks(
+            n, masks, where, binned.rows, binned.order, binned.tiles[0], binned.first_pair,
+            binned.pairs, self.threads,
+        )  # fmt: skip
 
     def render_timed(
         self,
@@ -109,6 +189,7 @@ class NumbaRenderer:
         camera: Camera,
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         mask: FloatArray | None = None,
+        shown: BoolArray | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> tuple[Rendering, StageSeconds]:
         """Draw one picture, and say what each stage took.
@@ -118,15 +199,16 @@ class NumbaRenderer:
             camera: As of :meth:`render`.
             background: As of :meth:`render`.
             mask: As of :meth:`render`.
+            shown: As of :meth:`render`.
             clock: Gives the time, seconds; ``time.thread_time`` tells the processor's time where
                 there is one thread.
 
         Raises:
-            InputError: for a background or a mask that does not fit.
+            InputError: for a background, a mask or flags that do not fit.
         """
         colour = checked_background(background)
         portion = None if mask is None else checked_mask(mask, camera)
-        binned = self.project_and_bin(gaussians, camera, clock)
+        binned = self.project_and_bin(gaussians, camera, clock, shown)
         start = clock()
         rendering = self._blend(len(gaussians), camera, binned, colour, portion)
         return rendering, replace(binned.seconds, blend=clock() - start)
@@ -136,6 +218,9 @@ class NumbaRenderer:
         gaussians: Gaussians,
         camera: Camera,
         clock: Callable[[], float] = time.perf_counter,
+        shown: BoolArray | None = None,
+        window: Window | None = None,
+        colours: bool = True,
     ) -> Binned:
         """All that comes before blending.
 
@@ -143,44 +228,51 @@ class NumbaRenderer:
             gaussians: The set to draw.
             camera: Where from.
             clock: Gives the time, seconds.
+            shown: (N,) flags of the Gaussians to draw; None for all.
+            window: The tiles that will be drawn; None for the whole picture.
+            colours: Whether colours will be asked for.
         """
         times = [clock()]
-        rows, seen = self._project(gaussians, camera)
+        rows, seen = self._project(gaussians, camera, shown, window, colours)
         times.append(clock())
         order = radix_argsort(rows[seen, DEPTH].view(np.uint32), seen)
         rows = self._in_order(rows, order)
         times.append(clock())
         tiles = (-(-camera.width // TILE), -(-camera.height // TILE))
-        first_pair, pairs = self._bin(rows, tiles)
+        first_pair, pairs = self._bin(rows, tiles, window or Window((0, tiles[0]), (0, tiles[1])))
         times.append(clock())
         return Binned(rows, order, tiles, first_pair, pairs, StageSeconds(*np.diff(times).tolist()))
 
-    def _project(self, gaussians: Gaussians, camera: Camera) -> tuple[FloatArray, IntArray]:
-        n = len(gaussians)
-        rows = empty_rows(n)
+    def _project(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        shown: BoolArray | None = None,
+        window: Window | None = None,
+        colours: bool = True,
+    ) -> tuple[FloatArray, IntArray]:
+        n, laid_out = len(gaussians), gaussians.contiguous()
+        rows, flags = empty_rows(n), checked_shown(shown, n)
         seen = np.empty(n, np.bool_)
-        means, sh = np.ascontiguousarray(gaussians.means), np.ascontiguousarray(gaussians.sh)
-        scales, quats = (
-            np.ascontiguousarray(gaussians.scales),
-            np.ascontiguousarray(gaussians.quats),
-        )
-        opacities = np.ascontiguousarray(gaussians.opacities)
-        pose, lens, rotation, limits = camera_numbers(camera)
+        pose, lens, rotation, limits = camera_numbers(camera, window)
         step = _GAUSSIANS_A_PIECE
 
         def project_piece(piece: int) -> None:
             span = piece * step, min((piece + 1) * step, n)
             project(
-                *span, means, scales, quats, opacities, pose, lens, rotation, limits, rows, seen
-            )
+                *span, laid_out.means, laid_out.scales, laid_out.quats, laid_out.opacities,
+                pose, lens, rotation, limits, flags, rows, seen,
+            )  # fmt: skip
 
         run_pieces(project_piece, -(-n // step), self.threads)
         visible = np.flatnonzero(seen).astype(np.int32)
+        if not colours:
+            return rows, visible
         position = np.ascontiguousarray(camera.position, dtype=np.float64)
 
         def shade_piece(piece: int) -> None:
             span = piece * step, min((piece + 1) * step, visible.size)
-            shade(*span, visible, means, sh, position, rows)
+            shade(*span, visible, laid_out.means, laid_out.sh, position, rows)
 
         run_pieces(shade_piece, -(-visible.size // step), self.threads)
         return rows, visible
@@ -198,7 +290,9 @@ class NumbaRenderer:
         run_pieces(copy_piece, -(-n // step), self.threads)
         return ordered
 
-    def _bin(self, rows: FloatArray, tiles: tuple[int, int]) -> tuple[NDArray[np.int64], IntArray]:
+    def _bin(
+        self, rows: FloatArray, tiles: tuple[int, int], window: Window
+    ) -> tuple[NDArray[np.int64], IntArray]:
         pieces = 4 * self.threads
         edges = np.linspace(0, len(rows), pieces + 1).astype(np.int64)
         cursor = np.zeros((pieces, tiles[0] * tiles[1]), np.int64)
@@ -207,7 +301,9 @@ class NumbaRenderer:
 
         def bin_one(piece: int, pairs: IntArray, emit: bool) -> None:
             span = edges[piece], edges[piece + 1]
-            bin_piece(*span, rows, *tiles, cursor[piece], pairs, emit)
+            bin_piece(
+                *span, rows, tiles[0], *window.columns, *window.rows, cursor[piece], pairs, emit
+            )
 
         run_pieces(lambda piece: bin_one(piece, nothing, False), pieces, self.threads)
         cursors(cursor, first_pair)

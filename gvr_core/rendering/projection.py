@@ -33,9 +33,11 @@ from gvr_core.rendering.layout import (
     RIGHTMOST_Y,
     T0,
     T_MIN,
+    TILE,
     A,
     B,
     C,
+    Window,
 )
 
 FloatArray = NDArray[np.float32]
@@ -49,22 +51,31 @@ _REACH = np.float32(1 / EXPONENT_SCALE)
 
 
 def camera_numbers(
-    camera: Camera,
+    camera: Camera, window: Window | None = None
 ) -> tuple[Float64Array, Float64Array, FloatArray, FloatArray]:
     """A camera as the kernel takes it.
 
+    Args:
+        camera: The camera.
+        window: The tiles to draw; None for all of the picture.
+
     Returns:
         ``pose`` (3, 4) float64: world to camera. ``lens`` (4,) float64: fx, fy, cx, cy.
-        ``rotation`` (3, 3) float32: that of the pose. ``limits`` (6,) float32: lowest and
-        highest x/z and lowest and highest y/z of the Jacobian, width, height.
+        ``rotation`` (3, 3) float32: that of the pose. ``limits`` (8,) float32: lowest and
+        highest x/z and lowest and highest y/z of the Jacobian; left, right, top and bottom of
+        what is drawn, pixels.
     """
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
     margin_x, margin_y = 0.15 * camera.width / fx, 0.15 * camera.height / fy
     limits = [
         *(-cx / fx - margin_x, (camera.width - cx) / fx + margin_x),
         *(-cy / fy - margin_y, (camera.height - cy) / fy + margin_y),
-        *(camera.width, camera.height),
+        *(0, camera.width, 0, camera.height),
     ]
+    if window is not None:
+        columns, rows = window.columns, window.rows
+        limits[4:6] = TILE * columns[0], min(TILE * columns[1], camera.width)
+        limits[6:8] = TILE * rows[0], min(TILE * rows[1], camera.height)
     pose = np.ascontiguousarray(camera.world_to_camera[:3], dtype=np.float64)
     return (
         pose,
@@ -86,6 +97,7 @@ def project(
     lens: Float64Array,
     rotation: FloatArray,
     limits: FloatArray,
+    shown: NDArray[np.bool_],
     rows: FloatArray,
     seen: NDArray[np.bool_],
 ) -> None:
@@ -101,14 +113,15 @@ def project(
         pose: (3, 4), see :func:`camera_numbers`, as the next three.
         lens: (4,).
         rotation: (3, 3).
-        limits: (6,).
+        limits: (8,).
+        shown: (N,) bool; the others are passed over.
         rows: (N, 16) float32, written where seen.
-        seen: (N,) bool, written: whether any pixel can have an alpha of 1/255.
+        seen: (N,) bool, written: whether any pixel drawn can have an alpha of 1/255.
     """
     for i in range(start, stop):
         seen[i] = False
         opacity = opacities[i]
-        if not opacity >= _ALPHA_MIN:
+        if not (shown[i] and opacity >= _ALPHA_MIN):
             continue
         px, py, pz = means[i, 0], means[i, 1], means[i, 2]
         wide_z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
@@ -169,10 +182,10 @@ def project(
         reach = _REACH * math.sqrt(max(limit, _ZERO))
         extent_x, extent_y = reach * math.sqrt(xx), reach * math.sqrt(yy)
         if not (
-            mean_x + extent_x > _ZERO
-            and mean_x - extent_x < limits[4]
-            and mean_y + extent_y > _ZERO
-            and mean_y - extent_y < limits[5]
+            mean_x + extent_x > limits[4]
+            and mean_x - extent_x < limits[5]
+            and mean_y + extent_y > limits[6]
+            and mean_y - extent_y < limits[7]
         ):
             continue
         seen[i] = True

@@ -8,12 +8,13 @@ It is the oracle of the tests and the yardstick of the benchmark. It shares the 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy import sparse
 from torch import Tensor
 
 from gvr_core.cameras import Camera
@@ -23,11 +24,18 @@ from gvr_core.rendering.base import (
     ALPHA_MIN,
     TRANSMITTANCE_MIN,
     Rendering,
+    one_by_one,
 )
-from gvr_core.rendering.inputs import checked_background, checked_mask
+from gvr_core.rendering.inputs import (
+    checked_background,
+    checked_mask,
+    checked_masks,
+    checked_shown,
+)
 from gvr_core.rendering.torch_projection import Projected, project
 
 FloatArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
 
 _BLOCK = 16
 """Side of a block of pixels, which are blended together."""
@@ -81,11 +89,12 @@ class TorchReference:
         camera: Camera,
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         mask: FloatArray | None = None,
+        shown: BoolArray | None = None,
     ) -> Rendering:
         """Draw one picture; see :class:`gvr_core.rendering.base.Renderer`.
 
         Raises:
-            InputError: for a background or a mask that does not fit.
+            InputError: for a background, a mask or flags that do not fit.
         """
         behind = torch.tensor(checked_background(background), dtype=self.dtype)
         portion = None
@@ -93,7 +102,7 @@ class TorchReference:
             portion = torch.tensor(checked_mask(mask, camera), dtype=self.dtype)
         picture = torch.zeros(camera.height, camera.width, 6, dtype=self.dtype)
         sums = torch.zeros(2, len(gaussians), dtype=self.dtype)
-        projected = project(gaussians, camera, self.dtype)
+        projected = self._project(gaussians, camera, shown)
         for block, chunks in blocks(projected, camera):
             pixels = pixel_centres(block, self.dtype)
             done = Blended.nothing(pixels)
@@ -120,6 +129,48 @@ class TorchReference:
             weight_inside=None if portion is None else weights_out[0],
             weight_outside=None if portion is None else weights_out[1],
         )
+
+    def render_many(
+        self,
+        gaussians: Gaussians,
+        cameras: Sequence[Camera],
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        shown: BoolArray | None = None,
+    ) -> Iterator[Rendering]:
+        """Draw one picture after the other; see :class:`gvr_core.rendering.base.Renderer`."""
+        return one_by_one(self, gaussians, cameras, background, shown)
+
+    @torch.inference_mode()
+    def weights(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        masks: BoolArray,
+        shown: BoolArray | None = None,
+    ) -> sparse.csr_array:
+        """Weights under masks; see :class:`gvr_core.rendering.base.Renderer`.
+
+        Raises:
+            InputError: for masks or flags that do not fit.
+        """
+        portions = torch.tensor(checked_masks(masks, camera), dtype=self.dtype)
+        sums = torch.zeros(len(gaussians), len(masks), dtype=self.dtype)
+        for block, chunks in blocks(self._project(gaussians, camera, shown), camera):
+            inside = portions[:, block[0], block[1]].reshape(len(masks), -1)
+            done = Blended.nothing(pixel_centres(block, self.dtype))
+            for chunk in chunks:
+                done, weights = blend(done, chunk, alphas(chunk, pixel_centres(block, self.dtype)))
+                sums.index_add_(0, chunk.index, (inside @ weights).T)
+                if done.product.max() <= TRANSMITTANCE_MIN:
+                    break
+        return sparse.csr_array(sums.to(torch.float32).numpy())
+
+    def _project(
+        self, gaussians: Gaussians, camera: Camera, shown: BoolArray | None
+    ) -> Projected:
+        projected = project(gaussians, camera, self.dtype)
+        flags = torch.tensor(checked_shown(shown, len(gaussians)))
+        return projected[flags[projected.index].nonzero()[:, 0]]
 
 
 Block = tuple[slice, slice]

@@ -97,7 +97,7 @@ def test_code_compiled_with_other_constants_is_not_taken_from_the_cache(tmp_path
     cache_file = Path(blending.blend_tiles._cache.cache_path)  # type: ignore[attr-defined]
     llvm_of(blending.blend_tiles)
     assert any(same in path.name for path in cache_file.glob("blending.blend_tiles*.nbi"))
-    for name in ("base.py", "layout.py", "compiled.py"):
+    for name in ("base.py", "layout.py", "compiled.py", "tile_rows.py"):
         before = compiled.digest_of_shared_files(tmp_path)
         with (tmp_path / name).open("a") as file:
             file.write("# changed")
