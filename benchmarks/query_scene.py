@@ -145,11 +145,11 @@ def query_scene(
     of_thing = np.array(owners) >= 0
     features[of_thing] += LIKENESS * meanings[np.array(owners)[of_thing]].astype(np.float32)
     features /= np.linalg.norm(features, axis=1, keepdims=True)
-    blank = ViewBook(
-        np.zeros((0, 3), np.uint8), np.zeros(0, np.uint8), np.zeros((0, 2), np.int32)
-    )
+    blank = ViewBook(np.zeros((0, 3), np.uint8), np.zeros(0, np.uint8), np.zeros((0, 2), np.int32))
     books = Books(blank, depths, SemanticVectorBook(features, book))
-    asked = tuple(Query(id=f"q{i}", text=f"number {i} of thing {i % THINGS}") for i in range(queries))
+    asked = tuple(
+        Query(id=f"q{i}", text=f"number {i} of thing {i % THINGS}") for i in range(queries)
+    )
     scene = Scene("benchmark", "room", drawn, named)
     return QueryScene(scene, books, StandIns(meanings.astype(np.float32)), asked)
 

@@ -124,6 +124,29 @@ class Camera:
         return Camera(scale @ self.K, self.world_to_camera, width, height)
 
 
+def unproject_each(
+    cameras: Sequence[Camera], pixels: Float64Array, depths: Float64Array
+) -> Float64Array:
+    """One pixel of each of some cameras back to the world.
+
+    Args:
+        cameras: v cameras.
+        pixels: (v, 2) as (x, y), one for each.
+        depths: (v,) z-depths, scene units.
+
+    Returns:
+        (v, 3) points, world frame.
+    """
+    if len(cameras) == 0:
+        return np.empty((0, 3))
+    K = np.stack([camera.K for camera in cameras])
+    poses = np.stack([camera.world_to_camera for camera in cameras])
+    rays = (pixels - K[:, :2, 2]) / K[:, (0, 1), (0, 1)]
+    local = np.column_stack([rays * depths[:, None], depths]) - poses[:, :3, 3]
+    points: Float64Array = np.einsum("vi,vij->vj", local, poses[:, :3, :3])
+    return points
+
+
 def intrinsics(fov_x_degrees: float, width: int, height: int) -> Float64Array:
     """(3, 3) intrinsics with square pixels and the principal point in the middle.
 

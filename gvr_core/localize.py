@@ -7,10 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
-from gvr_core.books import DepthBook, SemanticVectorBook
+from gvr_core.books import DepthBook, PatchBook
+from gvr_core.cameras import unproject_each
 from gvr_core.paper import VOTE_RADIUS_FRACTION
+from gvr_core.run_lengths import patch_positions
 from gvr_core.scene import View
+from gvr_core.stopwatch import step
 
 Float64Array = NDArray[np.float64]
 
@@ -72,17 +76,37 @@ class Localization:
         return np.asarray(self.labels == 0)
 
 
-def relevancy(features: NDArray[np.float32], text: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Similarity of every patch to the text: the cosine, as in the paper.
+TEXTS_A_BLOCK = 16
+"""Texts that are multiplied at once; fewer are filled up with zeros."""
+POINTS_A_CHUNK = 1024
+"""Points whose distances to all others are held at once, which bounds the memory."""
+PATCHES_A_CHUNK = 8192
+"""Patches that are multiplied at once, which bounds the memory."""
+
+
+def relevancy(features: NDArray[np.floating], texts: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Similarity of every patch to every text: the cosine, as in the paper.
+
+    Every product has the same shape, so that a text's cosines are the same to the last bit
+    whichever other texts are asked for with it.
 
     Args:
-        features: (M, c) unit vectors.
-        text: (c,) unit vector.
+        features: (M, c) unit vectors, float32 or float16; may lie in a file (a memory map).
+        texts: (t, c) unit vectors.
 
     Returns:
-        (M,) in [-1, 1].
+        (t, M) float32, in [-1, 1].
     """
-    scores: NDArray[np.float32] = features @ text
+    m, t = len(features), len(texts)
+    scores = np.empty((t, m), np.float32)
+    blocks = np.zeros((-(-t // TEXTS_A_BLOCK), TEXTS_A_BLOCK, texts.shape[1]), np.float32)
+    blocks.reshape(-1, texts.shape[1])[:t] = texts
+    for start in range(0, m, PATCHES_A_CHUNK):
+        chunk = np.asarray(features[start : start + PATCHES_A_CHUNK], np.float32)
+        for i, block in enumerate(blocks):
+            first = i * TEXTS_A_BLOCK
+            own = scores[first : first + TEXTS_A_BLOCK, start : start + PATCHES_A_CHUNK]
+            own[:] = (chunk @ block.T).T[: len(own)]
     return scores
 
 
@@ -98,34 +122,20 @@ def best_patches(
     Returns:
         The views that have a patch (v,), and the best patch of each (v,).
     """
-    views = np.flatnonzero(np.diff(view_ptr) > 0)
-    best = [view_ptr[i] + int(np.argmax(scores[view_ptr[i] : view_ptr[i + 1]])) for i in views]
-    return views, np.array(best, dtype=np.int64)
-
-
-def patch_position(pixels: NDArray[np.bool_]) -> tuple[float, float]:
-    """L_2D: the pixel of a patch that is nearest to the patch's centroid.
-
-    The paper says "position" of the patch. The centroid of a concave patch can lie beside it,
-    on something else; the nearest pixel of the patch never does.
-
-    Args:
-        pixels: (H, W) mask, not empty.
-
-    Returns:
-        (x, y) of that pixel's centre.
-    """
-    rows, columns = np.nonzero(pixels)
-    offset = (rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2
-    nearest = int(np.argmin(offset))
-    return float(columns[nearest]) + 0.5, float(rows[nearest]) + 0.5
+    counts = np.diff(view_ptr)
+    views = np.flatnonzero(counts > 0)
+    if len(views) == 0:
+        return views, np.empty(0, np.int64)
+    highest = np.maximum.reduceat(scores, view_ptr[:-1][views])
+    best = np.flatnonzero(scores == np.repeat(highest, counts[views]))
+    return views, best[np.searchsorted(best, view_ptr[:-1][views])]
 
 
 def retrieve(
-    book: SemanticVectorBook,
+    scores: NDArray[np.float32],
+    patches: PatchBook,
     depths: DepthBook,
     views: Sequence[View],
-    text: NDArray[np.float32],
     top_k: int | None = None,
     depth_kind: str = "expected",
 ) -> Retrieval:
@@ -134,34 +144,38 @@ def retrieve(
     A view abstains where it has no patch, or no depth at its patch's position.
 
     Args:
-        book: B_s.
+        scores: (M,) relevancy of every patch to the query.
+        patches: The M patches.
         depths: B_d.
         views: The n knowledge views.
-        text: (c,) unit vector of the query.
         top_k: Keep only so many views, those with the most similar patches; None keeps all.
         depth_kind: ``"expected"`` (the paper's) or ``"median"``.
     """
-    scores = relevancy(book.features, text)
-    chosen_views, chosen = best_patches(scores, book.patches.view_ptr)
-    if top_k is not None and len(chosen) > top_k:
-        order = np.sort(np.argsort(-scores[chosen], kind="stable")[:top_k])
-        chosen_views, chosen = chosen_views[order], chosen[order]
+    with step("best patches"):
+        chosen_views, chosen = best_patches(scores, patches.view_ptr)
+        if top_k is not None and len(chosen) > top_k:
+            order = np.sort(np.argsort(-scores[chosen], kind="stable")[:top_k])
+            chosen_views, chosen = chosen_views[order], chosen[order]
+    with step("back-projection"):
+        pixels = patch_positions(patches, chosen)
+        z = depths_at(depths, chosen_views, pixels, depth_kind)
+        kept = z > 0
+        chosen_views, chosen, pixels = chosen_views[kept], chosen[kept], pixels[kept]
+        points = unproject_each([views[i].camera for i in chosen_views], pixels, z[kept])
+    return Retrieval(chosen_views, chosen, scores[chosen], pixels, points)
 
-    kept, pixels, points = [], [], []
-    for j, (i, patch) in enumerate(zip(chosen_views, chosen, strict=True)):
-        x, y = patch_position(book.patches.pixels(int(patch)))
-        z = float(depths.depth(int(i), depth_kind)[int(y), int(x)])
-        if z > 0:
-            kept.append(j)
-            pixels.append((x, y))
-            points.append(views[i].camera.unproject((x, y), z))
-    return Retrieval(
-        chosen_views[kept],
-        chosen[kept],
-        scores[chosen[kept]],
-        np.array(pixels, dtype=np.float64).reshape(-1, 2),
-        np.array(points, dtype=np.float64).reshape(-1, 3),
-    )
+
+def depths_at(
+    depths: DepthBook,
+    views: NDArray[np.int64],
+    pixels: Float64Array,
+    kind: str = "expected",
+) -> Float64Array:
+    """Depth (v,) of one pixel (v, 2) of each of some views (v,), scene units."""
+    found = [
+        depths.depth(int(i), kind)[int(y), int(x)] for i, (x, y) in zip(views, pixels, strict=True)
+    ]
+    return np.array(found, np.float64)
 
 
 def voting_radius(
@@ -195,31 +209,34 @@ def vote(points: Float64Array, radius: float) -> NDArray[np.bool_]:
     Returns:
         (v,) flags of the winner's voters.
     """
-    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
-    near = distances <= radius
-    votes = near.sum(axis=1)
-    spread = np.where(near, distances, 0.0).sum(axis=1)
+    votes, spread = np.empty(len(points), np.int64), np.empty(len(points))
+    for start in range(0, len(points), POINTS_A_CHUNK):
+        part = slice(start, start + POINTS_A_CHUNK)
+        distances = cdist(points[part], points)
+        near = distances <= radius
+        votes[part] = near.sum(axis=1)
+        spread[part] = np.where(near, distances, 0.0).sum(axis=1)
     winner = int(np.lexsort((spread, -votes))[0])
-    voters: NDArray[np.bool_] = near[winner]
+    voters: NDArray[np.bool_] = cdist(points[winner : winner + 1], points)[0] <= radius
     return voters
 
 
 def localize(
-    book: SemanticVectorBook,
+    scores: NDArray[np.float32],
+    patches: PatchBook,
     depths: DepthBook,
     views: Sequence[View],
-    text: NDArray[np.float32],
     top_k: int | None = None,
     depth_kind: str = "expected",
     radius_fraction: float = VOTE_RADIUS_FRACTION,
 ) -> Localization | None:
-    """RFL, the whole of it: where in the scene the text is.
+    """RFL, from relevancies on: where in the scene the text is.
 
     Args:
-        book: B_s.
+        scores: (M,) relevancy of every patch to the query; see :func:`relevancy`.
+        patches: The M patches.
         depths: B_d.
         views: The n knowledge views.
-        text: (c,) unit vector of the query.
         top_k: Keep only so many views; None keeps all.
         depth_kind: ``"expected"`` (the paper's) or ``"median"``.
         radius_fraction: See :func:`voting_radius`.
@@ -229,11 +246,12 @@ def localize(
         share of the views that agree times their mean relevancy. None where no view puts a point
         forward.
     """
-    retrieval = retrieve(book, depths, views, text, top_k, depth_kind)
+    retrieval = retrieve(scores, patches, depths, views, top_k, depth_kind)
     if len(retrieval.points) == 0:
         return None
-    radius = voting_radius(retrieval, views, radius_fraction)
-    supporters = vote(retrieval.points, radius)
+    with step("voting"):
+        radius = voting_radius(retrieval, views, radius_fraction)
+        supporters = vote(retrieval.points, radius)
     support = float(supporters.mean() * retrieval.relevancies[supporters].mean())
     place = Place(retrieval.points[supporters].mean(axis=0), radius, support)
     labels = np.where(supporters, 0, -1).astype(np.int64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,7 @@ class Scene:
     up: NDArray[np.float64] | None = None
     """(3,) up direction where the data set states one; else it is taken from the cameras."""
 
-    @property
+    @cached_property
     def up_direction(self) -> NDArray[np.float64]:
         """(3,) unit vector: the stated up direction, or the mean of the cameras' up axes."""
         if self.up is not None:

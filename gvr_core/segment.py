@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvr_core.cameras import Camera, any_perpendicular, birds_eye_camera, ring_cameras, unit
+from gvr_core.centres import centres_under
 from gvr_core.gaussians import Gaussians
 from gvr_core.models.base import Frame, Mask, Segmenter, TextSegmenter
 from gvr_core.paper import (
@@ -20,6 +21,7 @@ from gvr_core.paper import (
 )
 from gvr_core.rendering.base import Renderer
 from gvr_core.scene import Scene
+from gvr_core.stopwatch import step
 
 BoolArray = NDArray[np.bool_]
 Float64Array = NDArray[np.float64]
@@ -35,25 +37,21 @@ class VirtualView:
     """None where the model found nothing."""
 
 
-def frustum_filter(gaussians: Gaussians, camera: Camera, mask: BoolArray) -> BoolArray:
+def frustum_filter(
+    gaussians: Gaussians, camera: Camera, mask: BoolArray, asked: BoolArray | None = None
+) -> BoolArray:
     """Frustum filtering: the Gaussians whose centre projects into the mask.
 
     Args:
         gaussians: The scene G.
         camera: The camera that the mask belongs to.
         mask: (H, W).
+        asked: (N,) flags of the Gaussians to look at; the others are not flagged. None for all.
 
     Returns:
         (N,) flags. A centre behind the camera or outside the picture is never flagged.
     """
-    pixels, z = camera.project(gaussians.means)
-    with np.errstate(invalid="ignore"):
-        columns, rows = np.floor(pixels[:, 0]), np.floor(pixels[:, 1])
-        inside = (z > 0) & (columns >= 0) & (columns < camera.width)
-        inside &= (rows >= 0) & (rows < camera.height)
-    flags = np.zeros(len(gaussians), dtype=np.bool_)
-    flags[inside] = mask[rows[inside].astype(np.int64), columns[inside].astype(np.int64)]
-    return flags
+    return centres_under(gaussians.means, camera, mask, asked)
 
 
 def focus_point(cameras: Sequence[Camera]) -> Float64Array:
@@ -100,7 +98,8 @@ def birds_eye_view(
     camera = birds_eye_camera(
         location, scene.up_direction, height, model.K, model.width, model.height
     )
-    return Frame.of_rendering(renderer.render(scene.gaussians, camera, background), camera)
+    with step("BEV render"):
+        return Frame.of_rendering(renderer.render(scene.gaussians, camera, background), camera)
 
 
 def coarse_by_point(
@@ -118,8 +117,11 @@ def coarse_by_point(
         (N,) flags, and the bird's-eye view with its mask.
     """
     (x, y), _ = bev.camera.project(location)
-    mask = segmenter.at_point(bev, (float(x), float(y)))
-    return frustum_filter(scene.gaussians, bev.camera, mask.pixels), VirtualView(bev, mask)
+    with step("models"):
+        mask = segmenter.at_point(bev, (float(x), float(y)))
+    with step("BEV filter"):
+        coarse = frustum_filter(scene.gaussians, bev.camera, mask.pixels)
+    return coarse, VirtualView(bev, mask)
 
 
 def coarse_by_text(
@@ -136,10 +138,13 @@ def coarse_by_text(
     Returns:
         (N,) flags, all False where the text names nothing in the view, and the view.
     """
-    mask = text_segmenter.segment(bev, text)
+    with step("models"):
+        mask = text_segmenter.segment(bev, text)
     if mask is None:
         return np.zeros(len(scene.gaussians), dtype=np.bool_), VirtualView(bev, None)
-    return frustum_filter(scene.gaussians, bev.camera, mask.pixels), VirtualView(bev, mask)
+    with step("BEV filter"):
+        coarse = frustum_filter(scene.gaussians, bev.camera, mask.pixels)
+    return coarse, VirtualView(bev, mask)
 
 
 def target_width(means: NDArray[np.float32], up: Float64Array) -> float:
@@ -185,19 +190,23 @@ def surrounding_views(
         pitch_degrees: Pitch above the horizontal.
         background: Colour behind the coarse set.
     """
-    up = scene.up_direction
-    target = scene.gaussians.subset(coarse)
-    model = scene.views[0].camera
+    up, model = scene.up_direction, scene.views[0].camera
     # A single Gaussian has no width of its own; its standard deviation stands in.
-    width = max(target_width(target.means, up), float(target.scales.max(axis=1).mean()))
+    width = max(
+        target_width(scene.gaussians.means[coarse], up),
+        float(scene.gaussians.scales[coarse].max(axis=1).mean()),
+    )
     cameras = ring_cameras(
         location, up, distance_factor * width, pitch_degrees, k, model.K, model.width, model.height
     )
-    views = []
-    for camera in cameras:
-        frame = Frame.of_rendering(renderer.render(target, camera, background), camera, coarse)
-        views.append(VirtualView(frame, text_segmenter.segment(frame, text)))
-    return views
+    with step("ring renders"):
+        drawn = list(renderer.render_many(scene.gaussians, cameras, background, coarse))
+        frames = [
+            Frame.of_rendering(rendering, camera, coarse)
+            for rendering, camera in zip(drawn, cameras, strict=True)
+        ]
+    with step("models"):
+        return [VirtualView(frame, text_segmenter.segment(frame, text)) for frame in frames]
 
 
 def intersect(gaussians: Gaussians, coarse: BoolArray, views: Sequence[VirtualView]) -> BoolArray:
@@ -214,9 +223,10 @@ def intersect(gaussians: Gaussians, coarse: BoolArray, views: Sequence[VirtualVi
     Returns:
         I_tar: (N,) flags.
     """
-    flags = coarse.copy()
+    flags = coarse
     for view in views:
         if view.mask is None:
             return np.zeros_like(coarse)
-        flags &= frustum_filter(gaussians, view.frame.camera, view.mask.pixels)
-    return flags
+        with step("ring filters"):
+            flags = frustum_filter(gaussians, view.frame.camera, view.mask.pixels, flags)
+    return flags.copy() if flags is coarse else flags

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -16,6 +15,7 @@ from gvr_core.localize import Localization
 from gvr_core.scene import Query, Scene
 from gvr_core.segment import VirtualView
 from gvr_core.toolbox import Toolbox
+from gvr_core.workspace import Workspace
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,8 @@ class Method(Protocol):
     """A way to ground text in Gaussians.
 
     ``prepare`` and ``ground`` are the whole of it. A workflow that caches the steps apart calls
-    ``index`` after the books are made, then for each query ``locate`` and ``segment``.
+    ``index`` after the books are made, then ``share`` with all queries, and for each of them
+    ``locate`` and ``segment``. Answers are the same, bit for bit, whichever queries share.
     """
 
     @property
@@ -69,18 +70,44 @@ class Method(Protocol):
         """The method's own part of the preparation, made from the other books; may be empty."""
         ...
 
+    def share(self, scene: Scene, books: Books, queries: Sequence[Query]) -> Workspace:
+        """What these queries share: their texts, encoded together, and room for what else."""
+        ...
+
     def ground(self, scene: Scene, books: Books, query: Query) -> Grounding:
         """Answer one query."""
         ...
 
-    def locate(self, scene: Scene, books: Books, query: Query) -> Localization | None:
-        """Where the query's object is; None where the method cannot tell or does not ask."""
+    def locate(
+        self, scene: Scene, books: Books, query: Query, shared: Workspace | None = None
+    ) -> Localization | None:
+        """Where the query's object is; None where the method cannot tell or does not ask.
+
+        Args:
+            scene: The scene.
+            books: Its books.
+            query: The query.
+            shared: What :meth:`share` gave for this and other queries; None for this one alone.
+        """
         ...
 
     def segment(
-        self, scene: Scene, books: Books, localization: Localization | None, query: Query
+        self,
+        scene: Scene,
+        books: Books,
+        localization: Localization | None,
+        query: Query,
+        shared: Workspace | None = None,
     ) -> Grounding:
-        """Which Gaussians are the query's object, given where it is."""
+        """Which Gaussians are the query's object, given where it is.
+
+        Args:
+            scene: The scene.
+            books: Its books.
+            localization: What :meth:`locate` gave.
+            query: The query.
+            shared: As of :meth:`locate`.
+        """
         ...
 
 
@@ -115,17 +142,3 @@ def nothing_found(
         confidence=confidence,
         localization=localization,
     )
-
-
-class Clock:
-    """Wall seconds between laps."""
-
-    def __init__(self) -> None:
-        self.laps: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def lap(self, step: str) -> None:
-        """Add the time since the last lap to a step."""
-        now = time.perf_counter()
-        self.laps[step] = self.laps.get(step, 0.0) + now - self._last
-        self._last = now

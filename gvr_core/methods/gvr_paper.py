@@ -6,7 +6,7 @@
 text masks -> intersection -> I_tar.
 
 Where the paper is silent, the reading taken is documented where it is taken: the position of a
-patch (:func:`gvr_core.localize.patch_position`), the voting radius
+patch (:func:`gvr_core.run_lengths.patch_positions`), the voting radius
 (:func:`~gvr_core.localize.voting_radius`), the up direction
 (:func:`gvr_core.cameras.up_vector`), where the bird's-eye camera stands
 (:data:`gvr_core.paper.BEV_DISTANCE_FACTOR`, and without RFL
@@ -16,7 +16,8 @@ patch (:func:`gvr_core.localize.patch_position`), the voting radius
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,6 @@ from gvr_core import paper
 from gvr_core.books import Books
 from gvr_core.localize import Localization, localize
 from gvr_core.methods.base import (
-    Clock,
     Grounding,
     nothing_found,
     prepare_books,
@@ -41,7 +41,9 @@ from gvr_core.segment import (
     intersect,
     surrounding_views,
 )
+from gvr_core.stopwatch import recorded
 from gvr_core.toolbox import Toolbox
+from gvr_core.workspace import Workspace
 
 
 class LocateConfig(BaseModel):
@@ -102,44 +104,61 @@ class GVRPaper:
         """Nothing: the books are all that the paper prepares."""
         return {}
 
+    def share(self, scene: Scene, books: Books, queries: Sequence[Query]) -> Workspace:
+        """The queries' texts; without RFL none is asked for here."""
+        texts = [query.text for query in queries] if self.locating.rfl else []
+        return Workspace(books.semantics.features, self.tools.models.encoder, texts)
+
     def ground(self, scene: Scene, books: Books, query: Query) -> Grounding:
         """(B) then (C)."""
-        return self.segment(scene, books, self.locate(scene, books, query), query)
+        shared = self.share(scene, books, [query])
+        place = self.locate(scene, books, query, shared)
+        return self.segment(scene, books, place, query, shared)
 
-    def locate(self, scene: Scene, books: Books, query: Query) -> Localization | None:
+    def locate(
+        self, scene: Scene, books: Books, query: Query, shared: Workspace | None = None
+    ) -> Localization | None:
         """(B) L_3D by view retrieval; None without RFL, or where no view puts a patch forward."""
         if not self.locating.rfl:
             return None
-        text = self.tools.models.encoder.encode_texts([query.text])[0]
+        shared = shared or self.share(scene, books, [query])
         return localize(
-            books.semantics,
+            shared.cosines(query.text),
+            books.semantics.patches,
             books.depths,
             scene.views,
-            text,
             self.locating.top_k,
             self.locating.depth,
             self.locating.vote_radius,
         )
 
     def segment(
-        self, scene: Scene, books: Books, localization: Localization | None, query: Query
+        self,
+        scene: Scene,
+        books: Books,
+        localization: Localization | None,
+        query: Query,
+        shared: Workspace | None = None,
     ) -> Grounding:
         """(C) From L_3D, or without RFL from the text alone, to the target Gaussians."""
         place = None if localization is None else localization.location
         if self.locating.rfl and place is None:
             return nothing_found(scene, localization)
+        with recorded() as seconds:
+            answer = self._segment(scene, localization, query.text)
+        return replace(answer, seconds=seconds)
+
+    def _segment(self, scene: Scene, localization: Localization | None, text: str) -> Grounding:
+        place = None if localization is None else localization.location
         config, models = self.segmenting, self.tools.models
-        clock = Clock()
         centre = focus_point([view.camera for view in scene.views]) if place is None else place
         bev = birds_eye_view(
             scene, centre, self.tools.renderer, config.bev_distance, config.background
         )
-        clock.lap("bev_render")
         if place is None:
-            coarse, bev_view = coarse_by_text(scene, bev, query.text, models.text_segmenter)
+            coarse, bev_view = coarse_by_text(scene, bev, text, models.text_segmenter)
         else:
             coarse, bev_view = coarse_by_point(scene, bev, centre, models.segmenter)
-        clock.lap("bev_mask")
         location = centre
         if place is None and coarse.any():
             location = np.median(scene.gaussians.means[coarse], axis=0).astype(np.float64)
@@ -150,7 +169,7 @@ class GVRPaper:
                 scene,
                 coarse,
                 location,
-                query.text,
+                text,
                 self.tools.renderer,
                 models.text_segmenter,
                 config.ring_views,
@@ -159,7 +178,6 @@ class GVRPaper:
                 config.background,
             )
             flags = intersect(scene.gaussians, coarse, ring)
-            clock.lap("ring")
         found = bool(flags.any())
         return Grounding(
             flags=flags,
@@ -168,7 +186,6 @@ class GVRPaper:
             found=found,
             confidence=0.0 if localization is None else localization.confidence,
             instances=(flags,) if found else (),
-            seconds=clock.laps,
             localization=localization,
             bev=bev_view,
             ring=ring,

@@ -12,6 +12,7 @@ Each of these is a switch of :class:`gvr_core.robust.config.RobustConfig`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from gvr_core.books import Books
 from gvr_core.cameras import up_vector
 from gvr_core.localize import Localization
-from gvr_core.methods.base import Clock, Grounding, nothing_found, prepare_books
+from gvr_core.methods.base import Grounding, nothing_found, prepare_books
 from gvr_core.robust.calibration import calibration_of
 from gvr_core.robust.config import NEGATIVES, RobustConfig
 from gvr_core.robust.floaters import steady
@@ -31,7 +32,9 @@ from gvr_core.robust.relevancy import contrast, relevancy
 from gvr_core.robust.segmenting import Segmented, segment_area, segment_thing
 from gvr_core.robust.workplace import Workplace
 from gvr_core.scene import Query, Scene
+from gvr_core.stopwatch import recorded, step
 from gvr_core.toolbox import Toolbox
+from gvr_core.workspace import Workspace
 
 
 @dataclass(frozen=True)
@@ -67,44 +70,59 @@ class GVRRobust:
         drawn = steady(scene.gaussians) if self.config.floaters else everything
         return {"up": np.asarray(up, np.float64), "steady": drawn}
 
+    def share(self, scene: Scene, books: Books, queries: Sequence[Query]) -> Workspace:
+        """The queries' texts and the canonical phrases."""
+        texts = [*NEGATIVES, *(query.text for query in queries)]
+        return Workspace(books.semantics.features, self.tools.models.encoder, texts)
+
     def ground(self, scene: Scene, books: Books, query: Query) -> Grounding:
         """(B) then (C)."""
-        return self.segment(scene, books, self.locate(scene, books, query), query)
+        shared = self.share(scene, books, [query])
+        place = self.locate(scene, books, query, shared)
+        return self.segment(scene, books, place, query, shared)
 
-    def locate(self, scene: Scene, books: Books, query: Query) -> Localization:
+    def locate(
+        self, scene: Scene, books: Books, query: Query, shared: Workspace | None = None
+    ) -> Localization:
         """(B) Every place at which the views agree; none where the object is not here."""
-        encoder, features = self.tools.models.encoder, books.semantics.features
-        text, *negatives = encoder.encode_texts([query.text, *NEGATIVES])
-        config = self.config
-        calibration = calibration_of(encoder.name, config.phrases)
-        if config.canonical_negatives and calibration.phrases:
-            scores = relevancy(features, text, np.stack(negatives), config.temperature)
-        else:
-            scores = contrast(features, text, config.temperature)
+        shared = shared or self.share(scene, books, [query])
+        config, cosines = self.config, shared.cosines(query.text)
+        calibration = calibration_of(self.tools.models.encoder.name, config.phrases)
+        with step("relevancy"):
+            if config.canonical_negatives and calibration.phrases:
+                phrases = np.stack([shared.cosines(phrase) for phrase in NEGATIVES])
+                scores = relevancy(cosines, phrases, config.temperature)
+            else:
+                scores = contrast(cosines, config.temperature)
         least = config.refuse_below
         if least is None:
             least = calibration.refuse_below
         return find_places(books, scene.views, scores, config, least)
 
     def segment(
-        self, scene: Scene, books: Books, localization: Localization | None, query: Query
+        self,
+        scene: Scene,
+        books: Books,
+        localization: Localization | None,
+        query: Query,
+        shared: Workspace | None = None,
     ) -> Grounding:
         """(C) From each place to the Gaussians there, and all instances together."""
         if localization is None or not localization.places:
             sureness = 0.0 if localization is None else localization.confidence
             return nothing_found(scene, localization, sureness)
-        clock = Clock()
+        shared = shared or self.share(scene, books, [])
         level = replace(scene, up=books.index["up"])
         drawn = books.index["steady"].astype(np.bool_)
-        work = Workplace(level, books, self.tools, self.config, drawn, self.background)
-        if localization.is_stuff:
-            parts: list[Segmented] = [segment_area(work, localization)]
-        else:
-            parts = [
-                segment_thing(work, localization, i, query.text)
-                for i in range(len(localization.places))
-            ]
-        clock.lap("segment_places")
+        work = Workplace(level, books, self.tools, self.config, drawn, self.background, shared)
+        with recorded() as seconds:
+            if localization.is_stuff:
+                parts: list[Segmented] = [segment_area(work, localization)]
+            else:
+                parts = [
+                    segment_thing(work, localization, i, query.text)
+                    for i in range(len(localization.places))
+                ]
         instances = tuple(part.flags for part in parts if part.flags.any())
         flags = np.logical_or.reduce([part.flags for part in parts])
         return Grounding(
@@ -114,7 +132,7 @@ class GVRRobust:
             found=bool(flags.any()),
             confidence=localization.confidence,
             instances=instances,
-            seconds=clock.laps,
+            seconds=seconds,
             localization=localization,
             bev=parts[0].bev,
             ring=parts[0].ring,

@@ -8,6 +8,7 @@ and Cheng et al., "Occam's LGS" (2024); this is the plain weighted mean that bot
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,15 +19,19 @@ from scipy import sparse
 
 from gvr_core.books import Books
 from gvr_core.localize import Localization
-from gvr_core.methods.base import Clock, Grounding, nothing_found, prepare_books
-from gvr_core.robust.ballot import UNSEEN, mask_weights
+from gvr_core.methods.base import Grounding, nothing_found, prepare_books
+from gvr_core.robust.ballot import UNSEEN
 from gvr_core.robust.calibration import calibration_of
 from gvr_core.robust.candidates import NEUTRAL
 from gvr_core.robust.config import NEGATIVES
 from gvr_core.robust.relevancy import over_phrases, over_typical, softmax
 from gvr_core.scene import Query, Scene
+from gvr_core.stopwatch import recorded, step
 from gvr_core.toolbox import Toolbox
+from gvr_core.workspace import Workspace
 
+MASKS_AT_ONCE = 64
+"""Masks of a view that are weighed in one walk, which bounds the memory."""
 BEST_PERCENTILE = 99.0
 """The most relevant Gaussians are those above this percentile of the seen ones."""
 LOCATION_SHARE = 0.1
@@ -79,23 +84,16 @@ class Lift:
         """
         patches, n = books.semantics.patches, len(scene.gaussians)
         columns = []
-        for view in range(patches.n_views):
-            camera = scene.views[view].camera
-            for j in range(int(patches.view_ptr[view]), int(patches.view_ptr[view + 1])):
-                inside, _ = mask_weights(
-                    self.tools.renderer, scene.gaussians, camera, patches.pixels(j)
-                )
-                rows = np.flatnonzero(inside > UNSEEN)
-                columns.append((rows, inside[rows]))
-        counts = [len(rows) for rows, _ in columns]
-        weights = sparse.csc_matrix(
-            (
-                np.concatenate([np.empty(0, np.float32), *(w for _, w in columns)]),
-                np.concatenate([np.empty(0, np.int64), *(r for r, _ in columns)]),
-                np.cumsum([0, *counts]),
-            ),
-            shape=(n, len(columns)),
-        ).tocsr()
+        for i, view in enumerate(scene.views):
+            span = range(int(patches.view_ptr[i]), int(patches.view_ptr[i + 1]))
+            for first in span[::MASKS_AT_ONCE]:
+                masks = [patches.pixels(j) for j in span[first - span.start :][:MASKS_AT_ONCE]]
+                drawn = self.tools.renderer.weights(scene.gaussians, view.camera, np.stack(masks))
+                drawn.data[drawn.data <= UNSEEN] = 0
+                drawn.eliminate_zeros()
+                columns.append(drawn)
+        nothing = sparse.csr_array((n, 0), dtype=np.float32)
+        weights = sparse.hstack([nothing, *columns], format="csr", dtype=np.float32)
         return {
             "weights": weights.data,
             "patches": weights.indices.astype(np.int32),
@@ -103,29 +101,46 @@ class Lift:
             "lengths": _lengths(weights, books.semantics.features),
         }
 
+    def share(self, scene: Scene, books: Books, queries: Sequence[Query]) -> Workspace:
+        """The queries' texts and the canonical phrases."""
+        texts = [*NEGATIVES, *(query.text for query in queries)]
+        return Workspace(books.semantics.features, self.tools.models.encoder, texts)
+
     def ground(self, scene: Scene, books: Books, query: Query) -> Grounding:
         """Every Gaussian that is more like the query than like any canonical phrase."""
         return self.segment(scene, books, None, query)
 
-    def locate(self, scene: Scene, books: Books, query: Query) -> Localization | None:
+    def locate(
+        self, scene: Scene, books: Books, query: Query, shared: Workspace | None = None
+    ) -> Localization | None:
         """Nothing: places are not asked for."""
         return None
 
     def segment(
-        self, scene: Scene, books: Books, localization: Localization | None, query: Query
+        self,
+        scene: Scene,
+        books: Books,
+        localization: Localization | None,
+        query: Query,
+        shared: Workspace | None = None,
     ) -> Grounding:
         """Every Gaussian that is more like the query than like any canonical phrase."""
-        clock = Clock()
+        shared = shared or self.share(scene, books, [query])
+        with recorded() as seconds, step("compare"):
+            answer = self._compare(scene, books, query, shared)
+        return replace(answer, seconds=seconds)
+
+    def _compare(self, scene: Scene, books: Books, query: Query, shared: Workspace) -> Grounding:
         index, features = books.index, books.semantics.features
-        weights = sparse.csr_matrix(
+        weights = sparse.csr_array(
             (index["weights"], index["patches"], index["row_ptr"]),
             shape=(len(scene.gaussians), len(features)),
         )
-        texts = self.tools.models.encoder.encode_texts([query.text, *NEGATIVES])
+        texts = np.stack([shared.cosines(text) for text in (query.text, *NEGATIVES)])
         lengths = index["lengths"][:, None]
         seen = index["lengths"] > 0
         cosines = np.divide(
-            weights @ (features @ texts.T),
+            weights @ texts.T,
             lengths,
             out=np.zeros((len(seen), len(texts))),
             where=lengths > 0,
@@ -135,7 +150,6 @@ class Lift:
         best = float(np.percentile(scores[seen], BEST_PERCENTILE)) if seen.any() else 0.0
         least = NEUTRAL + self.config.share * (best - NEUTRAL)
         flags = scores > max(self.config.threshold, least)
-        clock.lap("compare")
         if not flags.any():
             return nothing_found(scene, None, best)
         core = flags & (scores >= np.quantile(scores[flags], 1 - LOCATION_SHARE))
@@ -146,18 +160,17 @@ class Lift:
             found=True,
             confidence=best,
             instances=(flags,),
-            seconds=clock.laps,
         )
 
     def _margin(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
         """How much more like the query each Gaussian (s, 1 + phrases) is than like anything."""
         calibration = calibration_of(self.tools.models.encoder.name, self.config.phrases)
         if calibration.phrases:
-            return over_phrases(cosines[:, 0], cosines[:, 1:])
+            return over_phrases(cosines[:, 0], cosines[:, 1:].T)
         return over_typical(cosines[:, 0])
 
 
-def _lengths(weights: sparse.csr_matrix, features: NDArray[np.float32]) -> NDArray[np.float32]:
+def _lengths(weights: sparse.csr_array, features: NDArray[np.float32]) -> NDArray[np.float32]:
     """(N,) length of each Gaussian's lifted vector, a few thousand rows at a time."""
     lengths = np.zeros(weights.shape[0], np.float32)
     for first in range(0, weights.shape[0], 8192):

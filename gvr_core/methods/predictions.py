@@ -14,7 +14,7 @@ there is a prediction that was not made: the protocol says what that costs.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from gvr_core.errors import DatasetError
 from gvr_core.localize import Localization
 from gvr_core.methods.base import Grounding, nothing_found
 from gvr_core.scene import Query, Scene
+from gvr_core.workspace import Workspace
 
 FLAGS = "flags"
 """Name of the folder of per-Gaussian flags, in place of a view's."""
@@ -93,12 +94,23 @@ class Predictions:
         """Read the answer to one query; see :meth:`segment`."""
         return self.segment(scene, books, None, query)
 
-    def locate(self, scene: Scene, books: Books, query: Query) -> Localization | None:
+    def share(self, scene: Scene, books: Books, queries: Sequence[Query]) -> Workspace:
+        """Nothing is compared."""
+        return Workspace(books.semantics.features, None)
+
+    def locate(
+        self, scene: Scene, books: Books, query: Query, shared: Workspace | None = None
+    ) -> Localization | None:
         """Nothing: predictions have no place."""
         return None
 
     def segment(
-        self, scene: Scene, books: Books, localization: Localization | None, query: Query
+        self,
+        scene: Scene,
+        books: Books,
+        localization: Localization | None,
+        query: Query,
+        shared: Workspace | None = None,
     ) -> Grounding:
         """Read the answer to one query.
 

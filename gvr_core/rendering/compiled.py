@@ -57,6 +57,13 @@ def kernel(function: Function) -> Function:
     return cast(Function, compile_(function))
 
 
+def precise_kernel(function: Function) -> Function:
+    """As :func:`kernel`, but every operation rounds for itself, as numpy's do."""
+    function.__qualname__ += f"_{_SHARED}"
+    compile_ = njit(cache=True, nogil=True, error_model="numpy")
+    return cast(Function, compile_(function))
+
+
 def inlined(function: Function) -> Function:
     """Compile a helper of the kernels in its file, for LLVM to put in place of each call."""
     compile_ = njit(error_model="numpy", fastmath=_FASTMATH, forceinline=True)

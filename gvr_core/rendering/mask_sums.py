@@ -56,7 +56,7 @@ def masked_tiles(masks: BoolArray, threads: int) -> MaskedTiles | None:
         mark_tiles(piece * step, min((piece + 1) * step, count), masks, present)
 
     run_pieces(mark_piece, -(-count // step), threads)
-    used = present.any(axis=0)
+    used: BoolArray = np.logical_or.reduce(present, axis=0)
     if not used.any():
         return None
     tiles = np.flatnonzero(used)
@@ -127,6 +127,4 @@ def sums_under_masks(
     )  # fmt: skip
     row_ptr = np.empty(n + 1, np.int64)
     filled = sum_weights(len(masks), ends, mask_of, weight_of, row_ptr)
-    return sparse.csr_array(
-        (weight_of[:filled], mask_of[:filled], row_ptr), shape=(n, len(masks))
-    )
+    return sparse.csr_array((weight_of[:filled], mask_of[:filled], row_ptr), shape=(n, len(masks)))

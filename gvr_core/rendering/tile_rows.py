@@ -48,6 +48,7 @@ _P0, _P1 = np.float32(0.9999999250634852), np.float32(0.6931422525915856)
 _P2, _P3 = np.float32(0.24017218923634062), np.float32(0.05527972254849632)
 _P4, _P5 = np.float32(0.00918861169470596), np.float32(0.0009387883226651354)
 
+
 @inlined
 def aligned(n: int) -> FloatArray:
     """(n,) float32 from the start of a cache line: a vector across two lines costs double."""

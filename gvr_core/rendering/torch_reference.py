@@ -165,9 +165,7 @@ class TorchReference:
                     break
         return sparse.csr_array(sums.to(torch.float32).numpy())
 
-    def _project(
-        self, gaussians: Gaussians, camera: Camera, shown: BoolArray | None
-    ) -> Projected:
+    def _project(self, gaussians: Gaussians, camera: Camera, shown: BoolArray | None) -> Projected:
         projected = project(gaussians, camera, self.dtype)
         flags = torch.tensor(checked_shown(shown, len(gaussians)))
         return projected[flags[projected.index].nonzero()[:, 0]]

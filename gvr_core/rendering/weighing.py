@@ -264,7 +264,7 @@ def sum_weights(
         How many sums there are.
     """
     totals, met = np.zeros(masks, np.float64), np.zeros(masks, np.bool_)
-    begin, filled = np.int64(0), np.int64(0)
+    begin, filled = np.int64(0), 0
     row_ptr[0] = 0
     for g in range(ends.size):
         lowest, highest = masks, -1

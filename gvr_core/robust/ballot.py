@@ -45,16 +45,9 @@ def mask_weights(
     Returns:
         A and B, each (N,) float32, pixels; 0 for what is not drawn.
     """
-    shown = gaussians if drawn is None else gaussians.subset(drawn)
-    rendering = renderer.render(shown, camera, mask=mask.astype(np.float32))
-    inside, outside = rendering.weight_inside, rendering.weight_outside
-    if inside is None or outside is None:
-        raise TypeError(f"the renderer {renderer.name} sums no weights under a mask")
-    if drawn is None:
-        return inside, outside
-    both = np.zeros((2, len(gaussians)), np.float32)
-    both[0, drawn], both[1, drawn] = inside, outside
-    return both[0], both[1]
+    both = renderer.weights(gaussians, camera, np.stack([mask, ~mask]), drawn).toarray()
+    inside, outside = both.T.copy()
+    return inside, outside
 
 
 def centre_weights(
@@ -71,10 +64,8 @@ def centre_weights(
     Returns:
         (N,) 1 for centres inside of the mask, and (N,) 1 for those in the rest of the picture.
     """
-    inside = frustum_filter(gaussians, camera, mask)
-    outside = frustum_filter(gaussians, camera, ~mask)
-    if drawn is not None:
-        inside, outside = inside & drawn, outside & drawn
+    inside = frustum_filter(gaussians, camera, mask, drawn)
+    outside = frustum_filter(gaussians, camera, ~mask, drawn)
     return inside.astype(np.float32), outside.astype(np.float32)
 
 

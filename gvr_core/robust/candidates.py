@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gvr_core.books import DepthBook, PatchBook
 from gvr_core.cameras import Camera
-from gvr_core.localize import patch_position
+from gvr_core.localize import depths_at
+from gvr_core.run_lengths import cropped, patch_positions
 from gvr_core.scene import View
 
 BoolArray = NDArray[np.bool_]
@@ -76,8 +77,9 @@ def gated_patches(
         relevant ones the largest.
     """
     chosen: list[int] = []
-    for view in range(patches.n_views):
-        inside = _patches_of(patches, view, coarsest_only)
+    above = np.flatnonzero(scores > threshold)
+    for view in np.unique(np.searchsorted(patches.view_ptr, above, side="right") - 1):
+        inside = _patches_of(patches, int(view), coarsest_only)
         inside = inside[scores[inside] > threshold]
         steps = np.floor(scores[inside] / TIE_MARGIN)
         taken: list[int] = []
@@ -120,23 +122,26 @@ def place_candidate(
             else the expected depth at the patch's position stands for all of it.
     """
     view = patches.view_of(patch)
-    pixels, camera = patches.pixels(patch), views[view].camera
+    camera = views[view].camera
     if not median_depth:
-        return _by_position(view, patch, relevancy, pixels, depths.depth(view), camera)
-    depth = depths.depth(view, "median")
-    core = eroded(pixels) & (depth > 0)
-    if not core.any():
-        core = pixels & (depth > 0)
-        if not core.any():
+        return _by_position(view, patch, relevancy, patches, depths, camera)
+    pixels, (x0, y0) = cropped(patches, patch)
+    height, width = pixels.shape
+    depth = depths.depth(view, "median")[y0 : y0 + height, x0 : x0 + width]
+    has_depth = pixels & (depth > 0)
+    core = depth[has_depth & eroded(pixels)]
+    if len(core) == 0:
+        core = depth[has_depth]
+        if len(core) == 0:
             return None
-    middle = float(np.median(depth[core]))
-    deviation = 1.4826 * float(np.median(np.abs(depth[core] - middle)))
+    middle = float(np.median(core))
+    deviation = 1.4826 * float(np.median(np.abs(core - middle)))
     limit = max(MAD_LIMIT * deviation, DEPTH_SLACK * middle)
-    rows, columns = np.nonzero(pixels & (depth > 0) & (np.abs(depth - middle) <= limit))
+    rows, columns = np.nonzero(has_depth & (np.abs(depth - middle) <= limit))
     if len(rows) > SAMPLES:
         kept = np.linspace(0, len(rows) - 1, SAMPLES).astype(np.int64)
         rows, columns = rows[kept], columns[kept]
-    xy = np.stack([columns, rows], axis=1) + 0.5
+    xy = np.stack([columns + x0, rows + y0], axis=1) + 0.5
     surface = camera.unproject(xy, depth[rows, columns])
     centre = np.median(surface, axis=0)
     distances = np.linalg.norm(surface - centre, axis=1)
@@ -149,8 +154,9 @@ def place_candidate(
 def eroded(pixels: BoolArray) -> BoolArray:
     """A mask (H, W) without its outline; the depth of the erosion follows its size."""
     steps = max(1, round(ERODE * float(np.sqrt(np.count_nonzero(pixels) / np.pi))))
-    inside: BoolArray = ndimage.distance_transform_edt(np.pad(pixels, 1))[1:-1, 1:-1] > steps
-    return inside
+    framed = np.pad(pixels, 1).astype(np.uint8)
+    away = cv2.distanceTransform(framed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray(away[1:-1, 1:-1] > steps)
 
 
 def _patches_of(patches: PatchBook, view: int, coarsest_only: bool) -> NDArray[np.int64]:
@@ -165,17 +171,18 @@ def _by_position(
     view: int,
     patch: int,
     relevancy: float,
-    pixels: BoolArray,
-    depth: NDArray[np.float32],
+    patches: PatchBook,
+    depths: DepthBook,
     camera: Camera,
 ) -> Candidate | None:
-    x, y = patch_position(pixels)
-    z = float(depth[int(y), int(x)])
+    pixels = patch_positions(patches, np.array([patch]))
+    z = float(depths_at(depths, np.array([view]), pixels)[0])
     if z <= 0:
         return None
+    x, y = float(pixels[0, 0]), float(pixels[0, 1])
     point = camera.unproject((x, y), z)
     focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
-    radius = float(np.sqrt(np.count_nonzero(pixels) / np.pi)) * z / focal
+    radius = float(np.sqrt(patches.areas[patch] / np.pi)) * z / focal
     return Candidate(view, patch, relevancy, (x, y), point[None], point, radius)
 
 
@@ -187,5 +194,8 @@ def _same_thing(patches: PatchBook, a: int, b: int) -> bool:
     # what the boxes share bounds what the patches share, and costs no decoding
     if np.maximum(high - low, 0).prod() <= OVERLAP * smaller:
         return False
-    shared = np.count_nonzero(patches.pixels(a) & patches.pixels(b))
-    return bool(shared > OVERLAP * smaller)
+    parts = []
+    for patch in (a, b):
+        pixels, (x0, y0) = cropped(patches, patch)
+        parts.append(pixels[low[1] - y0 : high[1] - y0, low[0] - x0 : high[0] - x0])
+    return bool(np.count_nonzero(parts[0] & parts[1]) > OVERLAP * smaller)

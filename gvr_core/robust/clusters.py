@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from sklearn.cluster import DBSCAN
 
 from gvr_core.localize import Place
+from gvr_core.rendering.compiled import precise_kernel
 from gvr_core.robust.candidates import Candidate
 
 Float64Array = NDArray[np.float64]
@@ -94,12 +96,27 @@ def geometric_median(points: Float64Array) -> Float64Array:
     Args:
         points: (n, 3), n >= 1.
     """
+    points = np.ascontiguousarray(points, np.float64)
     centre: Float64Array = np.median(points, axis=0)
     scale = float(np.abs(points - centre).max())
     for _ in range(WEISZFELD_STEPS):
-        weights = 1 / np.maximum(np.linalg.norm(points - centre, axis=1), 1e-6 * scale + 1e-300)
-        moved = weights @ points / weights.sum()
+        moved = _weighted_mean(points, centre, 1e-6 * scale + 1e-300)
         if np.linalg.norm(moved - centre) <= 1e-6 * scale:
             return np.asarray(moved, np.float64)
         centre = moved
     return centre
+
+
+@precise_kernel
+def _weighted_mean(points: Float64Array, centre: Float64Array, least: float) -> Float64Array:
+    """Mean of points (n, 3), each weighted by 1 / its distance from a centre (3,)."""
+    total, mean = 0.0, np.zeros(3)
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        dx, dy, dz = x - centre[0], y - centre[1], z - centre[2]
+        weight = 1 / max(math.sqrt(dx * dx + dy * dy + dz * dz), least)
+        total += weight
+        mean[0] += weight * x
+        mean[1] += weight * y
+        mean[2] += weight * z
+    return mean / total

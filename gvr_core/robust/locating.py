@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gvr_core.books import Books
-from gvr_core.localize import Localization, Place, Retrieval, vote, voting_radius
+from gvr_core.localize import (
+    Localization,
+    Place,
+    Retrieval,
+    best_patches,
+    vote,
+    voting_radius,
+)
 from gvr_core.robust.candidates import (
     NEUTRAL,
     Candidate,
@@ -20,6 +26,7 @@ from gvr_core.robust.candidates import (
 from gvr_core.robust.clusters import cluster_candidates, places_of
 from gvr_core.robust.config import RobustLocate
 from gvr_core.scene import View
+from gvr_core.stopwatch import step
 
 FloatArray = NDArray[np.float32]
 
@@ -48,11 +55,13 @@ def find_places(
         thin.
     """
     patches = books.semantics.patches
-    chosen = _chosen_patches(books, scores, config)
-    found = [
-        place_candidate(j, float(scores[j]), patches, books.depths, views, config.median_depth)
-        for j in chosen
-    ]
+    with step("best patches"):
+        chosen = _chosen_patches(books, scores, config)
+    with step("back-projection"):
+        found = [
+            place_candidate(j, float(scores[j]), patches, books.depths, views, config.median_depth)
+            for j in chosen
+        ]
     candidates = [candidate for candidate in found if candidate is not None]
     retrieval = _retrieval(candidates)
     if not candidates:
@@ -60,10 +69,12 @@ def find_places(
         return Localization(retrieval, none, (), 0.0, _sureness(_best_of_views(books, scores)))
     if config.stuff and _is_stuff(candidates, books, config.stuff_share):
         reach, is_stuff = 0.0, True
-        labels, places = places_of(candidates, np.zeros(len(candidates), np.int64), 1.0, 1)
+        with step("voting"):
+            labels, places = places_of(candidates, np.zeros(len(candidates), np.int64), 1.0, 1)
     else:
         is_stuff = False
-        labels, places, reach = _things(candidates, retrieval, views, config)
+        with step("voting"):
+            labels, places, reach = _things(candidates, retrieval, views, config)
     supporters = [c for c, own in zip(candidates, labels, strict=True) if own == 0]
     best: dict[int, float] = {}
     for candidate in supporters:
@@ -148,9 +159,8 @@ def _sureness(best: Sequence[float]) -> float:
 
 def _best_of_views(books: Books, scores: FloatArray) -> list[float]:
     """The best relevancy of each view, whatever passes the gate."""
-    ptr = books.semantics.patches.view_ptr
-    parts = [scores[a:b] for a, b in itertools.pairwise(ptr) if b > a]
-    return [float(part.max()) for part in parts]
+    _, best = best_patches(scores, books.semantics.patches.view_ptr)
+    return [float(score) for score in scores[best]]
 
 
 def _retrieval(candidates: Sequence[Candidate]) -> Retrieval:

@@ -7,7 +7,10 @@ from numpy.typing import NDArray
 
 from gvr_core.books import DepthBook
 from gvr_core.models.base import Frame
+from gvr_core.rendering.compiled import precise_kernel
 from gvr_core.scene import Scene
+
+Float64Array = NDArray[np.float64]
 
 POINTS = 400
 """Points of the mask that are looked up in the views."""
@@ -50,17 +53,62 @@ def observed_share(
     down = points - bev.camera.position
     down /= np.linalg.norm(down, axis=1, keepdims=True)
     least = np.cos(np.radians(most_degrees))
+    eyes = np.stack([view.camera.position for view in scene.views])
+    poses = np.stack([view.camera.world_to_camera for view in scene.views])
+    lenses = np.stack([view.camera.K for view in scene.views])
+    sizes = np.array([(view.camera.height, view.camera.width) for view in scene.views])
+    rows = np.empty((len(eyes), len(points)), np.int64)
+    columns, depth = np.empty_like(rows), np.empty(rows.shape)
+    _look_up(points, down, eyes, poses, lenses, sizes, float(least), rows, columns, depth)
     seen = np.zeros(len(points), np.int64)
-    for i, view in enumerate(scene.views):
-        camera = view.camera
-        towards = points - camera.position
-        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        pixels, z = camera.project(points)
-        inside = (z > 0) & (np.einsum("pi,pi->p", towards, down) >= least)
-        with np.errstate(invalid="ignore"):
-            inside &= (pixels[:, 0] >= 0) & (pixels[:, 0] < camera.width)
-            inside &= (pixels[:, 1] >= 0) & (pixels[:, 1] < camera.height)
-        at = np.floor(pixels[inside]).astype(np.int64)
-        depth = depths.depth(i, "median")[at[:, 1], at[:, 0]]
-        seen[inside] += (depth > 0) & (depth >= (1 - DEPTH_SLACK) * z[inside])
+    for i in np.flatnonzero((rows >= 0).any(axis=1)):
+        inside = np.flatnonzero(rows[i] >= 0)
+        found = depths.depth(int(i), "median")[rows[i, inside], columns[i, inside]]
+        seen[inside] += (found > 0) & (found >= (1 - DEPTH_SLACK) * depth[i, inside])
     return float((seen >= LEAST_VIEWS).mean())
+
+
+@precise_kernel
+def _look_up(
+    points: Float64Array,
+    down: Float64Array,
+    eyes: Float64Array,
+    poses: Float64Array,
+    lenses: Float64Array,
+    sizes: NDArray[np.int64],
+    least: float,
+    rows: NDArray[np.int64],
+    columns: NDArray[np.int64],
+    depth: Float64Array,
+) -> None:
+    """Where points fall in views that look at them along nearly the same direction.
+
+    Args:
+        points: (p, 3), world frame.
+        down: (p, 3) unit directions from the bird's-eye camera to them.
+        eyes: (n, 3) camera centres.
+        poses: (n, 4, 4) world to camera.
+        lenses: (n, 3, 3) intrinsics.
+        sizes: (n, 2) height and width.
+        least: Least cosine between the two directions.
+        rows: (n, p), written: the pixel's row, -1 where the view does not count.
+        columns: (n, p), written where it does: its column.
+        depth: (n, p), written where it does: z, scene units.
+    """
+    for i in range(eyes.shape[0]):
+        pose, lens = poses[i], lenses[i]
+        for p in range(points.shape[0]):
+            rows[i, p] = -1
+            x, y, z = points[p, 0], points[p, 1], points[p, 2]
+            dx, dy, dz = x - eyes[i, 0], y - eyes[i, 1], z - eyes[i, 2]
+            along = dx * down[p, 0] + dy * down[p, 1] + dz * down[p, 2]
+            away = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
+            if not (away > 0 and along >= least * np.sqrt(dx * dx + dy * dy + dz * dz)):
+                continue
+            across = pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]
+            below = pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]
+            column = np.floor(across / away * lens[0, 0] + lens[0, 2])
+            row = np.floor(below / away * lens[1, 1] + lens[1, 2])
+            if 0 <= column < sizes[i, 1] and 0 <= row < sizes[i, 0]:
+                rows[i, p], columns[i, p] = np.int64(row), np.int64(column)
+                depth[i, p] = away

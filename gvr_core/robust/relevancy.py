@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float32]
 
 
-def relevancy(
-    features: FloatArray, text: FloatArray, negatives: FloatArray, temperature: float
-) -> FloatArray:
+def relevancy(query: FloatArray, phrases: FloatArray, temperature: float) -> FloatArray:
     """Relevancy of every patch: the worst of its pairwise softmaxes against canonical phrases.
 
     min over i of exp(t q) / (exp(t q) + exp(t n_i)), with q the cosine with the query and n_i
@@ -18,37 +16,35 @@ def relevancy(
     Source: Kerr et al., "LERF: Language Embedded Radiance Fields" (ICCV 2023), section 3.3.
 
     Args:
-        features: (M, c) unit vectors.
-        text: (c,) unit vector of the query.
-        negatives: (p, c) unit vectors of the phrases, p >= 1.
+        query: (M,) cosines with the query.
+        phrases: (p, M) cosines with the phrases, p >= 1.
         temperature: t.
 
     Returns:
         (M,) in (0, 1).
     """
-    return softmax(over_phrases(features @ text, features @ negatives.T), temperature)
+    return softmax(over_phrases(query, phrases), temperature)
 
 
-def contrast(features: FloatArray, text: FloatArray, temperature: float) -> FloatArray:
+def contrast(query: FloatArray, temperature: float) -> FloatArray:
     """Relevancy without canonical phrases: a patch against the scene's typical one.
 
     The softmax between a patch's cosine with the query and the median cosine of all patches:
     some queries are a little like everything, and that says nothing about any patch.
 
     Args:
-        features: (M, c) unit vectors.
-        text: (c,) unit vector of the query.
+        query: (M,) cosines with the query.
         temperature: t.
 
     Returns:
         (M,) in (0, 1).
     """
-    return softmax(over_typical(features @ text), temperature)
+    return softmax(over_typical(query), temperature)
 
 
 def over_phrases(query: FloatArray, phrases: FloatArray) -> FloatArray:
-    """By how much cosines (M,) with the query exceed the best ones with phrases (M, p)."""
-    return np.asarray(query - phrases.max(axis=1))
+    """By how much cosines (M,) with the query exceed the best ones with phrases (p, M)."""
+    return np.asarray(query - phrases.max(axis=0))
 
 
 def over_typical(query: FloatArray) -> FloatArray:

@@ -12,8 +12,9 @@ from gvr_core.localize import Localization
 from gvr_core.robust.ballot import Ballot
 from gvr_core.robust.cleanup import follow_neighbours
 from gvr_core.robust.virtual_views import birds_eye, look_around
-from gvr_core.robust.workplace import Workplace
+from gvr_core.robust.workplace import Weights, Workplace
 from gvr_core.segment import VirtualView
+from gvr_core.stopwatch import step
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float32]
@@ -71,10 +72,11 @@ def segment_thing(work: Workplace, localization: Localization, index: int, text:
     ring = look_around(work, coarse, place, text)
     if not config.soft_vote:
         return _intersection(work, coarse, above.view, ring)
-    for view in ring:
-        _add_virtual(work, ballot, view, place.location)
-    if above.coarse is not None:
-        _add_virtual(work, ballot, above.view, place.location)
+    with step("ring filters"):
+        for view in ring:
+            _add_virtual(work, ballot, view, place.location)
+        if above.coarse is not None:
+            _add_virtual(work, ballot, above.view, place.location, above.weights)
     if ballot.views < LEAST_VOTING_VIEWS:
         return Segmented(coarse, coarse.astype(np.float32), above.view, ring)
     return _count(work, ballot, coarse, above.view, ring)
@@ -84,7 +86,7 @@ def _ask_views(work: Workplace, localization: Localization, index: int, ballot: 
     """The retrieved views vote with their own patches."""
     scene, patches = work.scene, work.books.semantics.patches
     supporters = localization.labels == index
-    masks: dict[int, BoolArray] = {}
+    own: dict[int, list[int]] = {}
     trust: dict[int, float] = {}
     retrieval = localization.retrieval
     for view, patch, relevancy in zip(
@@ -93,21 +95,22 @@ def _ask_views(work: Workplace, localization: Localization, index: int, ballot: 
         retrieval.relevancies[supporters],
         strict=True,
     ):
-        i, pixels = int(view), patches.pixels(int(patch))
-        masks[i] = masks[i] | pixels if i in masks else pixels
+        i = int(view)
+        own.setdefault(i, []).append(int(patch))
         trust[i] = max(trust.get(i, LEAST_TRUST), float(relevancy))
     location = localization.places[index].location
     chosen = spread_views(
-        np.stack([scene.views[i].camera.position for i in masks]),
+        np.stack([scene.views[i].camera.position for i in own]),
         location,
-        np.array([trust[i] for i in masks]),
+        np.array([trust[i] for i in own]),
         work.config.vote_views,
     )
-    names = list(masks)
+    names = list(own)
     for i in (names[j] for j in chosen):
-        camera = scene.views[i].camera
-        weights = work.weights(camera, masks[i], None)
-        ballot.add(weights, trust[i] * work.pixel_area(camera, location))
+        with step("retrieved views"):
+            mask = np.logical_or.reduce([patches.pixels(patch) for patch in own[i]])
+            area = work.pixel_area(scene.views[i].camera, location)
+            ballot.add(work.view_weights(i, mask), trust[i] * area)
 
 
 def spread_views(
@@ -138,14 +141,20 @@ def spread_views(
 
 
 def _add_virtual(
-    work: Workplace, ballot: Ballot, view: VirtualView, location: Float64Array
+    work: Workplace,
+    ballot: Ballot,
+    view: VirtualView,
+    location: Float64Array,
+    weights: Weights | None = None,
 ) -> None:
     """A virtual view votes on what it has drawn; without a detection it abstains."""
-    if view.mask is None or view.mask.area == 0:
+    if view.mask is None or view.mask.area == 0 or view.frame.shown is None:
         return
     camera = view.frame.camera
     trust = max(LEAST_TRUST, view.mask.score) * work.pixel_area(camera, location)
-    ballot.add(work.weights(camera, view.mask.pixels, view.frame.shown), trust)
+    if weights is None:
+        weights = work.weights(camera, view.mask.pixels, view.frame.shown)
+    ballot.add(weights, trust)
 
 
 def _count(
@@ -159,7 +168,9 @@ def _count(
     share, seen = ballot.share, ballot.seen
     flags = np.where(seen, share >= work.config.keep_at, coarse)
     if work.config.cleanup:
-        flags = follow_neighbours(work.scene.gaussians.means, flags, seen, work.config.neighbours)
+        with step("neighbours"):
+            means = work.scene.gaussians.means
+            flags = follow_neighbours(means, flags, seen, work.config.neighbours)
     scores = np.where(flags, np.maximum(share, 0.5), np.minimum(share, 0.49))
     return Segmented(flags, scores.astype(np.float32), bev, ring)
 
@@ -174,11 +185,12 @@ def _intersection(
     """
     flags, ballot = coarse.copy(), Ballot(len(coarse))
     for view in ring:
-        if view.mask is None:
+        if view.mask is None or view.frame.shown is None:
             flags[:] = False
             break
-        flags &= work.keeps(view.frame.camera, view.mask.pixels, coarse)
-        ballot.add(work.weights(view.frame.camera, view.mask.pixels, view.frame.shown), 1.0)
+        camera, mask = view.frame.camera, view.mask.pixels
+        flags &= work.keeps(camera, mask, coarse, work.weights(camera, mask, coarse))
+        ballot.add(work.weights(camera, mask, view.frame.shown), 1.0)
     if work.config.cleanup and flags.any():
         means = work.scene.gaussians.means
         flags = follow_neighbours(means, flags, ballot.seen, work.config.neighbours)

@@ -11,8 +11,9 @@ from gvr_core.cameras import birds_eye_camera, ring_cameras
 from gvr_core.localize import Place
 from gvr_core.metrics import iou
 from gvr_core.robust.observation import observed_share
-from gvr_core.robust.workplace import Workplace
+from gvr_core.robust.workplace import Weights, Workplace
 from gvr_core.segment import VirtualView, target_width
+from gvr_core.stopwatch import step
 
 BoolArray = NDArray[np.bool_]
 
@@ -27,6 +28,8 @@ class BirdsEye:
     view: VirtualView
     coarse: BoolArray | None
     """(N,) what its mask keeps; None where the view is not to be trusted."""
+    weights: Weights | None = None
+    """What counts inside and outside of its mask, each (N,); None likewise."""
 
 
 def birds_eye(work: Workplace, place: Place) -> BirdsEye:
@@ -47,15 +50,22 @@ def birds_eye(work: Workplace, place: Place) -> BirdsEye:
     camera = birds_eye_camera(
         place.location, scene.up_direction, away, lens.K, lens.width, lens.height
     )
-    frame = work.draw(camera, drawn)
+    with step("BEV render"):
+        frame = work.draw([camera], drawn)[0]
     (x, y), _ = camera.project(place.location)
-    mask = work.tools.models.segmenter.at_point(frame, (float(x), float(y)))
+    with step("models"):
+        mask = work.tools.models.segmenter.at_point(frame, (float(x), float(y)))
     view = VirtualView(frame, mask)
     if config.bev_gate:
-        seen = observed_share(scene, work.books.depths, frame, mask.pixels, config.observed_degrees)
+        with step("BEV gate"):
+            seen = observed_share(
+                scene, work.books.depths, frame, mask.pixels, config.observed_degrees
+            )
         if seen < config.observed_share:
             return BirdsEye(view, None)
-    return BirdsEye(view, work.keeps(camera, mask.pixels, drawn))
+    with step("BEV filter"):
+        weights = work.weights(camera, mask.pixels, drawn)
+        return BirdsEye(view, work.keeps(camera, mask.pixels, drawn, weights), weights)
 
 
 def look_around(work: Workplace, coarse: BoolArray, place: Place, text: str) -> list[VirtualView]:
@@ -71,17 +81,17 @@ def look_around(work: Workplace, coarse: BoolArray, place: Place, text: str) -> 
     drawn = coarse & work.steady
     if not drawn.any():
         drawn = coarse
-    target = work.scene.gaussians.subset(drawn)
-    width = max(target_width(target.means, up), float(target.scales.max(axis=1).mean()))
+    means = work.scene.gaussians.means[drawn]
+    sizes = work.scene.gaussians.scales[drawn].max(axis=1)
+    width = max(target_width(means, up), float(sizes.mean()))
     centre, distance = place.location, config.ring_distance * width
     if config.ring_fit:
-        low, high = np.percentile(target.means, EXTENT_PERCENTILES, axis=0)
+        low, high = np.percentile(means, EXTENT_PERCENTILES, axis=0)
         centre = (low + high) / 2
-        reach = np.linalg.norm(target.means - centre, axis=1) + target.scales.max(axis=1)
+        reach = np.linalg.norm(means - centre, axis=1) + sizes
         fits = float(np.percentile(reach, EXTENT_PERCENTILES[1]) / np.sin(lens.half_angle))
         distance = max(distance, fits)
-    views = []
-    for camera in ring_cameras(
+    cameras = ring_cameras(
         centre,
         up,
         distance,
@@ -90,9 +100,13 @@ def look_around(work: Workplace, coarse: BoolArray, place: Place, text: str) -> 
         lens.K,
         lens.width,
         lens.height,
-    ):
-        frame = work.draw(camera, drawn)
-        mask = work.tools.models.text_segmenter.segment(frame, text)
+    )
+    with step("ring renders"):
+        frames = work.draw(cameras, drawn)
+    views = []
+    for frame in frames:
+        with step("models"):
+            mask = work.tools.models.text_segmenter.segment(frame, text)
         if mask is not None and config.soft_vote and frame.alpha is not None:
             agreement = iou(mask.pixels, frame.alpha > 0.5)
             mask = mask if agreement >= config.agree_iou else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,6 +17,7 @@ from gvr_core.robust.config import RobustSegment
 from gvr_core.scene import Scene
 from gvr_core.segment import frustum_filter
 from gvr_core.toolbox import Toolbox
+from gvr_core.workspace import Workspace
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float32]
@@ -51,6 +53,8 @@ class Workplace:
     steady: BoolArray
     """(N,) the Gaussians to draw in virtual views."""
     background: tuple[float, float, float]
+    shared: Workspace
+    """What the queries of the scene share."""
 
     @cached_property
     def lens(self) -> Lens:
@@ -63,30 +67,65 @@ class Workplace:
         K = np.array([[fx, 0, width / 2], [0, fy, height / 2], [0, 0, 1]])
         return Lens(K, width, height)
 
-    def draw(self, camera: Camera, drawn: BoolArray) -> Frame:
-        """A picture of some of the Gaussians (N,)."""
-        shown = self.scene.gaussians.subset(drawn)
-        rendering = self.tools.renderer.render(shown, camera, self.background)
-        return Frame.of_rendering(rendering, camera, drawn)
+    def draw(self, cameras: Sequence[Camera], drawn: BoolArray) -> list[Frame]:
+        """Pictures of some of the Gaussians (N,)."""
+        gaussians, renderer = self.scene.gaussians, self.tools.renderer
+        pictures = renderer.render_many(gaussians, cameras, self.background, drawn)
+        return [
+            Frame.of_rendering(picture, camera, drawn)
+            for picture, camera in zip(pictures, cameras, strict=True)
+        ]
 
-    def weights(self, camera: Camera, mask: BoolArray, drawn: BoolArray | None) -> Weights:
-        """What counts inside and outside of a mask: by weight, or by centre; each (N,)."""
-        if self.config.weight_filter:
-            gaussians = self.scene.gaussians
-            return mask_weights(self.tools.renderer, gaussians, camera, mask, drawn)
-        return centre_weights(self.scene.gaussians, camera, mask, drawn)
+    def weights(self, camera: Camera, mask: BoolArray, drawn: BoolArray) -> Weights:
+        """What counts of the Gaussians drawn inside and outside of a mask; each (N,)."""
+        if not self.config.weight_filter:
+            return centre_weights(self.scene.gaussians, camera, mask, drawn)
+        return mask_weights(self.tools.renderer, self.scene.gaussians, camera, mask, drawn)
 
-    def keeps(self, camera: Camera, mask: BoolArray, drawn: BoolArray) -> BoolArray:
+    def view_weights(self, view: int, mask: BoolArray) -> Weights:
+        """The same of all Gaussians in a knowledge view.
+
+        What a Gaussian has in the whole view does not depend on the query and is kept, so that
+        for other masks of the view only the tiles under them are drawn. The rest of it is
+        outside of the mask.
+        """
+        gaussians, camera = self.scene.gaussians, self.scene.views[view].camera
+        if not self.config.weight_filter:
+            return centre_weights(gaussians, camera, mask)
+        renderer = self.tools.renderer
+        inside: FloatArray | None = None
+
+        def draw_all() -> FloatArray:
+            nonlocal inside
+            masks = np.stack([mask, np.ones_like(mask)])
+            both: FloatArray = renderer.weights(gaussians, camera, masks).toarray()
+            inside = both[:, 0].copy()
+            return both[:, 1].copy()
+
+        whole = self.shared.recall(b"weights of view %d" % view, draw_all)
+        if inside is None:
+            inside = renderer.weights(gaussians, camera, mask[None]).toarray()[:, 0]
+        return inside, np.maximum(whole - inside, 0)
+
+    def keeps(
+        self, camera: Camera, mask: BoolArray, drawn: BoolArray, weights: Weights
+    ) -> BoolArray:
         """(N,) the drawn Gaussians that one view's mask keeps.
 
         What the view sees is judged by its weights. Of what is hidden in it weights say nothing:
         that is judged by the column under the mask, as everything is without weights.
+
+        Args:
+            camera: The view's camera.
+            mask: (H, W).
+            drawn: (N,) the Gaussians drawn.
+            weights: Their :meth:`weights`.
         """
-        column = frustum_filter(self.scene.gaussians, camera, mask) & drawn
+        column = frustum_filter(self.scene.gaussians, camera, mask, drawn)
         if not self.config.weight_filter:
             return column
         ballot = Ballot(len(self.scene.gaussians))
-        ballot.add(self.weights(camera, mask, drawn), 1.0)
+        ballot.add(weights, 1.0)
         return np.where(ballot.seen, ballot.inside > ballot.outside, column)
 
     def pixel_area(self, camera: Camera, location: Float64Array) -> float:
@@ -94,8 +133,16 @@ class Workplace:
 
         A near view has more pixels on an object than a far one, and no more to say.
         """
-        areas = [_area(view.camera, location) for view in self.scene.views]
-        return _area(camera, location) / float(np.median(areas))
+        away = np.linalg.norm(self._eyes - location, axis=1)
+        return _area(camera, location) / float(np.median(away**2 / self._focal_areas))
+
+    @cached_property
+    def _eyes(self) -> Float64Array:
+        return np.stack([view.camera.position for view in self.scene.views])
+
+    @cached_property
+    def _focal_areas(self) -> Float64Array:
+        return np.array([view.camera.K[0, 0] * view.camera.K[1, 1] for view in self.scene.views])
 
 
 def _area(camera: Camera, location: Float64Array) -> float:
