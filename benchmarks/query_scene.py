@@ -26,6 +26,8 @@ THINGS = 12
 """Spheres in the room."""
 LIKENESS = 0.4
 """Part of a sphere's own vector in those of its patches; the rest is noise."""
+POOL = 512
+"""Different boxes."""
 LEAST_AREA = 60
 """Pixels of the smallest patch of a sphere."""
 
@@ -47,12 +49,15 @@ class StandIns:
 
     @property
     def dim(self) -> int:
+        """C."""
         return int(self.meanings.shape[1])
 
     def models(self) -> Models:
+        """Itself in all three roles."""
         return Models(self, self, self)
 
     def encode_texts(self, texts: list[str]) -> NDArray[np.float32]:
+        """A vector for each text, near the vector of the sphere that it names."""
         start = time.perf_counter()
         for text in texts:
             if text not in self._known:
@@ -70,15 +75,19 @@ class StandIns:
         return (vector / np.linalg.norm(vector)).astype(np.float32)
 
     def encode_patches(self, frame: Frame, masks: list[Mask]) -> NDArray[np.float32]:
+        """Nobody asks for this."""
         raise NotImplementedError("the books of this benchmark are synthetic")
 
     def automatic(self, frame: Frame) -> list[Mask]:
+        """Nobody asks for this."""
         raise NotImplementedError("the books of this benchmark are synthetic")
 
     def in_box(self, frame: Frame, box: tuple[float, float, float, float]) -> Mask:
+        """Nobody asks for this."""
         raise NotImplementedError("nobody asks for boxes here")
 
     def at_point(self, frame: Frame, point: tuple[float, float]) -> Mask:
+        """A disc around the point."""
         start = time.perf_counter()
         height, width = frame.depth.shape
         rows, columns = np.ogrid[:height, :width]
@@ -88,6 +97,7 @@ class StandIns:
         return mask
 
     def segment(self, frame: Frame, text: str) -> Mask | None:
+        """All that is drawn."""
         start = time.perf_counter()
         mask = Mask(frame.alpha > 0.5, 0.8) if frame.alpha is not None else None
         self.seconds += time.perf_counter() - start
@@ -134,16 +144,13 @@ def query_scene(
     depths = render_depths(drawn, named, NumbaRenderer())
     meanings = rng.normal(size=(THINGS, dim))
     meanings /= np.linalg.norm(meanings, axis=1, keepdims=True)
-    masks, owners = [], []
-    for i, camera in enumerate(cameras):
-        own, things = _patches(rng, camera, depths, i, centres, radii, patches)
-        masks.append(own)
-        owners += things
-    book = PatchBook.of_masks(masks, [(height, width)] * views)
+    seen = [_visible(camera, depths, i, centres, radii) for i, camera in enumerate(cameras)]
+    pool = PatchBook.of_masks([_boxes(rng, width, height)], [(height, width)])
+    book, owners = _joined(rng, seen, pool, patches)
     features = rng.normal(size=(len(owners), dim)).astype(np.float32)
     features /= np.linalg.norm(features, axis=1, keepdims=True)
-    of_thing = np.array(owners) >= 0
-    features[of_thing] += LIKENESS * meanings[np.array(owners)[of_thing]].astype(np.float32)
+    of_thing = owners >= 0
+    features[of_thing] += LIKENESS * meanings[owners[of_thing]].astype(np.float32)
     features /= np.linalg.norm(features, axis=1, keepdims=True)
     blank = ViewBook(np.zeros((0, 3), np.uint8), np.zeros(0, np.uint8), np.zeros((0, 2), np.int32))
     books = Books(blank, depths, SemanticVectorBook(features, book))
@@ -168,39 +175,77 @@ def _camera(rng: np.random.Generator, width: int, height: int) -> Camera:
     return Camera(intrinsics(60, width, height), look_at(eye, target, (0, 0, 1)), width, height)
 
 
-def _patches(
-    rng: np.random.Generator,
+def _visible(
     camera: Camera,
     depths: DepthBook,
     view: int,
     centres: NDArray[np.float64],
     radii: NDArray[np.float64],
-    count: int,
-) -> tuple[list[Mask], list[int]]:
-    """A view's patches, and the sphere that each shows, -1 for none."""
+) -> list[tuple[int, Mask]]:
+    """The spheres that a view sees, each whole and in halves."""
     depth = depths.depth(view, "median")
     height, width = depth.shape
-    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    points = camera.unproject(np.stack([x, y], axis=-1), depth).astype(np.float32)
-    masks: list[Mask] = []
-    owners: list[int] = []
+    found: list[tuple[int, Mask]] = []
     for thing, (centre, radius) in enumerate(zip(centres, radii, strict=True)):
-        away = np.linalg.norm(points - centre.astype(np.float32), axis=-1)
-        pixels = (np.abs(away - radius) < 0.1 * radius) & (depth > 0)
-        if np.count_nonzero(pixels) < LEAST_AREA:
+        (x, y), z = camera.project(centre)
+        if z < 1.2 * radius:
+            continue
+        reach = int(camera.K[0, 0] * radius / (z - radius)) + 2
+        x0, y0 = max(0, int(x) - reach), max(0, int(y) - reach)
+        part = depth[y0 : max(y0, int(y) + reach), x0 : max(x0, int(x) + reach)]
+        columns, rows = np.meshgrid(np.arange(part.shape[1]), np.arange(part.shape[0]))
+        points = camera.unproject(np.stack([columns + x0, rows + y0], axis=-1) + 0.5, part)
+        away = np.linalg.norm(points - centre, axis=-1)
+        pixels = np.zeros((height, width), np.bool_)
+        inside = (np.abs(away - radius) < 0.1 * radius) & (part > 0)
+        pixels[y0 : y0 + part.shape[0], x0 : x0 + part.shape[1]] = inside
+        if np.count_nonzero(inside) < LEAST_AREA:
             continue
         middle = int(np.median(np.flatnonzero(pixels.any(axis=0))))
         left, right = pixels.copy(), pixels.copy()
         left[:, middle:], right[:, :middle] = False, False
-        for level, part in ((1, pixels), (0, left), (0, right)):
-            if part.any() and len(masks) < count:
-                masks.append(Mask(part, 0.9, level))
-                owners.append(thing)
-    while len(masks) < count:
-        size = np.exp(rng.uniform(np.log(10), np.log(160), 2)).astype(int)
-        corner = rng.integers(0, (width - size[0], height - size[1]))
+        pieces = ((1, pixels), (0, left), (0, right))
+        found += [(thing, Mask(piece, 0.9, level)) for level, piece in pieces if piece.any()]
+    return found
+
+
+def _boxes(rng: np.random.Generator, width: int, height: int) -> list[Mask]:
+    """Boxes of all sizes, anywhere."""
+    masks = []
+    for _ in range(POOL):
+        size = np.exp(rng.uniform(np.log(10), np.log(min(width, height) / 3), 2)).astype(int)
+        x, y = rng.integers(0, (width - size[0], height - size[1]))
         pixels = np.zeros((height, width), np.bool_)
-        pixels[corner[1] : corner[1] + size[1], corner[0] : corner[0] + size[0]] = True
+        pixels[y : y + size[1], x : x + size[0]] = True
         masks.append(Mask(pixels, 0.5, int(rng.integers(0, 3))))
-        owners.append(-1)
-    return masks, owners
+    return masks
+
+
+def _joined(
+    rng: np.random.Generator, seen: list[list[tuple[int, Mask]]], pool: PatchBook, count: int
+) -> tuple[PatchBook, NDArray[np.int64]]:
+    """The book of every view's spheres and of boxes out of the pool, and each patch's sphere."""
+    size = (int(pool.sizes[0, 0]), int(pool.sizes[0, 1]))
+    own = PatchBook.of_masks(
+        [[mask for _, mask in view[:count]] for view in seen], [size] * len(seen)
+    )
+    things = [thing for view in seen for thing, _ in view[:count]]
+    books, rows, owners = [], [], []
+    for i in range(len(seen)):
+        first, last = int(own.view_ptr[i]), int(own.view_ptr[i + 1])
+        boxes = rng.integers(0, POOL, count - (last - first))
+        books += [own] * (last - first) + [pool] * len(boxes)
+        rows += [*range(first, last), *boxes.tolist()]
+        owners += [*things[first:last], *[-1] * len(boxes)]
+    chosen = list(zip(books, rows, strict=True))
+    runs = [book.rle[book.rle_ptr[row] : book.rle_ptr[row + 1]] for book, row in chosen]
+    return PatchBook(
+        view_ptr=np.arange(len(seen) + 1, dtype=np.int64) * count,
+        rle=np.concatenate(runs),
+        rle_ptr=np.cumsum([0, *(len(run) for run in runs)], dtype=np.int64),
+        boxes=np.stack([book.boxes[row] for book, row in chosen]),
+        areas=np.array([book.areas[row] for book, row in chosen], np.int32),
+        levels=np.array([book.levels[row] for book, row in chosen], np.int16),
+        scores=np.array([book.scores[row] for book, row in chosen], np.float32),
+        sizes=np.array([size] * len(seen), np.int32),
+    ), np.array(owners, np.int64)

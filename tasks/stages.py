@@ -13,9 +13,9 @@ five stages as they are; changing the renderer changes every picture, and so eve
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from datasets.base import SceneData
@@ -32,6 +32,7 @@ from tasks.groundings import (
     unpack_answers,
     unpack_localization,
 )
+from tasks.query_times import QueryTimes
 from tasks.stage import Stage, StageRun, run_stage
 from tasks.store import StageOutput, Store, canonical_json
 
@@ -162,32 +163,37 @@ def compute_index(store: Store, inputs: Inputs, config: Config, job: SceneJob) -
 
 def compute_query(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """RFL: localise every query."""
-    method = build_method(job.method, job.tools)
+    method, scene = build_method(job.method, job.tools), job.data.scene
     books = _books(store, inputs)
-    places, seconds = {}, {}
+    shared = method.share(scene, books, job.queries)
+    places, times = {}, QueryTimes(shared)
     for query in job.track(job.queries, "query"):
-        start = time.perf_counter()
-        places[query.id] = pack_localization(method.locate(job.data.scene, books, query))
-        seconds[query.id] = time.perf_counter() - start
+        place = times.time(query.id, partial(method.locate, scene, books, query, shared))
+        places[query.id] = pack_localization(place)
     artifact = store.put_json("localizations", places)
-    return StageOutput({"localizations": artifact}, {"seconds": seconds})
+    detail = {"seconds": times.seconds, "shared_seconds_each": times.shared_each}
+    return StageOutput({"localizations": artifact}, detail)
 
 
 def compute_segment(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Segment every query's target, given where it is."""
-    method = build_method(job.method, job.tools)
+    method, scene = build_method(job.method, job.tools), job.data.scene
     books = _books(store, inputs)
     places = store.load_json(inputs["query"]["localizations"])
-    groundings, seconds = [], {}
+    shared = method.share(scene, books, job.queries)
+    groundings, times = [], QueryTimes(shared)
     for query in job.track(job.queries, "segment"):
-        start = time.perf_counter()
         place = unpack_localization(places[query.id])
-        grounding = method.segment(job.data.scene, books, place, query)
-        seconds[query.id] = grounding.seconds | {"segment": time.perf_counter() - start}
-        groundings.append(grounding)
-    arrays = pack_groundings(groundings, len(job.data.scene.gaussians))
+        segment = partial(method.segment, scene, books, place, query, shared)
+        groundings.append(times.time(query.id, segment))
+    seconds = {
+        query: grounding.seconds | {"segment": own}
+        for grounding, (query, own) in zip(groundings, times.seconds.items(), strict=True)
+    }
+    arrays = pack_groundings(groundings, len(scene.gaussians))
     artifact = store.put_arrays("groundings", arrays)
-    return StageOutput({"groundings": artifact}, {"seconds": seconds})
+    detail = {"seconds": seconds, "shared_seconds_each": times.shared_each}
+    return StageOutput({"groundings": artifact}, detail)
 
 
 def compute_evaluate(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
@@ -230,17 +236,17 @@ STAGES = (
         ("views", "render", "depth", "masks"),
     ),
     PlannedStage(
-        Stage("index", 2, compute_index, ("method", "renderer", "index")),
+        Stage("index", 3, compute_index, ("method", "renderer", "index")),
         ("gaussians", "views", "render", "depth", "masks", "encode"),
     ),
     PlannedStage(
-        Stage("query", 3, compute_query, ("method", "encoder", "calibration", "locate")),
+        Stage("query", 4, compute_query, ("method", "encoder", "calibration", "locate")),
         ("gaussians", "views", "texts", "render", "depth", "masks", "encode", "index"),
     ),
     PlannedStage(
         Stage(
             "segment",
-            3,
+            4,
             compute_segment,
             (
                 "method",

@@ -7,18 +7,21 @@ import dataclasses
 import json
 import shutil
 import time
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from prefect import get_client
 from prefect.client.schemas.sorting import TaskRunSort
+from scipy import sparse
 
 from flows.benchmark import BenchmarkOutcome, run_benchmark
 from flows.lines import ModelSet
 from flows.suite import DatasetChoice, SuiteConfig
 from gvr_core.methods import MethodConfig
 from gvr_core.rendering import Rendering, get_renderer
+from gvr_core.rendering.base import mask_by_mask, one_by_one
 from tasks.prefect_runtime import PrefectRuntime, prefect_runtime
 from tasks.store import Store
 
@@ -112,14 +115,22 @@ class DimmedRenderer:
 
     name: str = "test-dimmed/1"
 
-    def render(self, gaussians, camera, background=(0.0, 0.0, 0.0), mask=None) -> Rendering:
-        given = get_renderer("numba").render(gaussians, camera, background, mask)
+    def render(
+        self, gaussians, camera, background=(0.0, 0.0, 0.0), mask=None, shown=None
+    ) -> Rendering:
+        given = get_renderer("numba").render(gaussians, camera, background, mask, shown)
         return dataclasses.replace(
             given,
             rgb=given.rgb * 0.9,
             expected_depth=given.expected_depth * 1.001,
             median_depth=given.median_depth * 1.001,
         )
+
+    def render_many(self, *arguments) -> Iterator[Rendering]:
+        return one_by_one(self, *arguments)
+
+    def weights(self, *arguments) -> sparse.csr_array:
+        return mask_by_mask(self, *arguments)
 
 
 def test_another_renderer_recomputes_everything(bench, suite, monkeypatch) -> None:

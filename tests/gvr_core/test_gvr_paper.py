@@ -51,7 +51,9 @@ def test_true_masks_and_names_give_the_true_object(world, books, query) -> None:
     assert values["within_radius"] == 1.0
     assert grounding.found
     assert len(grounding.ring) == 4
-    assert set(grounding.seconds) == {"bev_render", "bev_mask", "ring"}
+    assert set(grounding.seconds) == {
+        *("BEV render", "BEV filter", "models", "ring renders", "ring filters")
+    }
 
 
 def test_ground_is_locate_then_segment(world, books) -> None:

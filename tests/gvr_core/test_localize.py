@@ -13,12 +13,12 @@ from gvr_core.cameras import Camera, intrinsics, look_at
 from gvr_core.localize import (
     best_patches,
     localize,
-    patch_position,
     relevancy,
     retrieve,
     vote,
 )
 from gvr_core.models.base import Mask
+from gvr_core.run_lengths import patch_positions
 from gvr_core.scene import View
 
 WIDTH, HEIGHT = 40, 30
@@ -53,7 +53,7 @@ def depth_of(value: np.ndarray) -> DepthBook:
 def test_relevancy_is_the_cosine() -> None:
     features = np.array([[1, 0], [0, 1], [np.sqrt(0.5)] * 2], np.float32)
     np.testing.assert_allclose(
-        relevancy(features, np.array([1, 0], np.float32)), [1, 0, np.sqrt(0.5)], rtol=1e-6
+        relevancy(features, np.float32([[1, 0]])), [[1, 0, np.sqrt(0.5)]], rtol=1e-6
     )
 
 
@@ -64,15 +64,26 @@ def test_best_patch_of_each_view_first_of_equals_and_views_without_patches() -> 
     assert best.tolist() == [1, 4]
 
 
+def position(pixels: np.ndarray) -> tuple[float, float]:
+    patches = PatchBook.of_masks([[Mask(pixels)]], [pixels.shape])
+    x, y = patch_positions(patches, np.array([0]))[0]
+    return float(x), float(y)
+
+
 def test_position_of_a_convex_patch_is_its_centre() -> None:
-    assert patch_position(square(10, 4).pixels) == (12.5, 6.5)
+    assert position(square(10, 4).pixels) == (12.5, 6.5)
 
 
 def test_position_of_a_ring_lies_on_the_ring() -> None:
     rows, columns = np.mgrid[:HEIGHT, :WIDTH]
     ring = np.abs(np.hypot(rows - 15, columns - 20) - 8) < 1
-    x, y = patch_position(ring)
+    x, y = position(ring)
     assert ring[int(y), int(x)]
+
+
+def asked(book, depths, views, text, **settings):
+    scores = relevancy(book.features, np.float32([text]))[0]
+    return retrieve(scores, book.patches, depths, views, **settings)
 
 
 def test_retrieval_back_projects_each_views_best_patch() -> None:
@@ -80,7 +91,7 @@ def test_retrieval_back_projects_each_views_best_patch() -> None:
     masks = [[square(2, 2), square(18, 13)], [square(18, 13)], [square(30, 20), square(18, 13)]]
     features = np.array([[0, 1], [1, 0], [1, 0], [0.6, 0.8], [0.8, 0.6]])
     depth = np.array([4.0, 5.0, 6.0])
-    found = retrieve(book_of(masks, features), depth_of(depth), views, np.float32([1, 0]))
+    found = asked(book_of(masks, features), depth_of(depth), views, [1, 0])
     assert found.patches.tolist() == [1, 2, 4]
     np.testing.assert_allclose(found.relevancies, [1, 1, 0.8], rtol=1e-6)
     for i in range(3):
@@ -92,7 +103,7 @@ def test_retrieval_back_projects_each_views_best_patch() -> None:
 def test_views_without_depth_abstain() -> None:
     views = views_around(2)
     book = book_of([[square(18, 13)], [square(18, 13)]], np.eye(2))
-    found = retrieve(book, depth_of(np.array([0.0, 3.0])), views, np.float32([1, 0]))
+    found = asked(book, depth_of(np.array([0.0, 3.0])), views, [1, 0])
     assert found.views.tolist() == [1]
 
 
@@ -100,13 +111,14 @@ def test_top_k_keeps_the_most_similar_views() -> None:
     views = views_around(4)
     features = np.array([[0.2, 0], [0.9, 0], [0.5, 0], [0.7, 0]])
     book = book_of([[square(18, 13)]] * 4, features)
-    found = retrieve(book, depth_of(np.full(4, 5.0)), views, np.float32([1, 0]), top_k=2)
+    found = asked(book, depth_of(np.full(4, 5.0)), views, [1, 0], top_k=2)
     assert found.views.tolist() == [1, 3]
 
 
 def test_nothing_to_vote_on_gives_no_location() -> None:
     book = book_of([[], []], np.empty((0, 2)))
-    assert localize(book, depth_of(np.ones(2)), views_around(2), np.float32([1, 0])) is None
+    nothing = np.empty(0, np.float32)
+    assert localize(nothing, book.patches, depth_of(np.ones(2)), views_around(2)) is None
 
 
 def test_location_is_the_mean_of_the_agreeing_views() -> None:
@@ -119,7 +131,8 @@ def test_location_is_the_mean_of_the_agreeing_views() -> None:
         masks.append([square(int(x) - 2, int(y) - 2)] if i < 5 else [square(0, 0)])
         depths.append(float(z))
     book = book_of(masks, np.ones((6, 1)))
-    found = localize(book, depth_of(np.array(depths)), views, np.float32([1]))
+    scores = relevancy(book.features, np.float32([[1]]))[0]
+    found = localize(scores, book.patches, depth_of(np.array(depths)), views)
     assert found is not None
     assert found.supporters.tolist() == [True] * 5 + [False]
     # Pixel centres are up to half a pixel off the projected point: about 0.1 units at depth 5.

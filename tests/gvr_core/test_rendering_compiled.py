@@ -25,6 +25,7 @@ from gvr_core.rendering import (
     projection,
     sorting,
     spherical_harmonics,
+    weighing,
 )
 from gvr_core.rendering.numba_renderer import NumbaRenderer
 
@@ -39,6 +40,7 @@ def llvm_of(kernel: Any) -> str:
     """LLVM code of all versions that a kernel has been used in, compiled afresh."""
     NumbaRenderer().render(cloud(0, 50, 3), camera())
     NumbaRenderer().render(cloud(0, 50, 3), camera(), mask=np.ones((101, 150), np.float32))
+    NumbaRenderer().weights(cloud(0, 50, 3), camera(), np.ones((1, 101, 150), np.bool_))
     fresh = numba.jit(**kernel.targetoptions)(kernel.py_func)
     for signature in kernel.nopython_signatures:
         fresh.compile(signature.args)
@@ -54,6 +56,7 @@ def double_arithmetic(llvm: str) -> Counter[str]:
     ("kernel", "allowed"),
     [
         (blending.blend_tiles, {}),
+        (weighing.weigh_tiles, {}),
         (binning.bin_piece, {}),
         (sorting.radix_argsort, {}),
         # From the camera to the mean, where a scene far from the origin would lose its digits.
@@ -81,8 +84,9 @@ def test_the_check_notices_a_constant_in_double() -> None:
     assert double_arithmetic("\n".join(fresh.inspect_llvm().values())).total() >= 2
 
 
-def test_a_row_of_pixels_is_blended_in_vectors() -> None:
-    llvm = llvm_of(blending.blend_tiles)
+@pytest.mark.parametrize("kernel", [blending.blend_tiles, weighing.weigh_tiles])
+def test_a_row_of_pixels_is_blended_in_vectors(kernel: Any) -> None:
+    llvm = llvm_of(kernel)
     lanes = [int(width) for width in re.findall(r"fmul[^=\n]*<(\d+) x float>", llvm)]
     # Eight lanes with AVX, sixteen with AVX-512, four with SSE or NEON.
     assert max(lanes, default=1) >= 4

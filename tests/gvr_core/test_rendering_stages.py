@@ -44,13 +44,14 @@ def test_binning_finds_the_tiles_with_a_covered_pixel_centre_and_hardly_any_othe
     rows, seen = NumbaRenderer()._project(cloud(3, 2500, 0, size), view)
     rows = rows[seen]
     tiles_x, tiles_y = 10, 7
+    window = (0, tiles_x, 0, tiles_y)
     counts = np.zeros((1, tiles_x * tiles_y), np.int64)
     first_pair = np.empty(tiles_x * tiles_y + 1, np.int64)
     nothing = np.empty(0, np.int32)
-    bin_piece(0, len(rows), rows, tiles_x, tiles_y, counts[0], nothing, False)
+    bin_piece(0, len(rows), rows, tiles_x, *window, counts[0], nothing, False)
     cursors(counts, first_pair)
     pairs = np.empty(first_pair[-1], np.int32)
-    bin_piece(0, len(rows), rows, tiles_x, tiles_y, counts[0], pairs, True)
+    bin_piece(0, len(rows), rows, tiles_x, *window, counts[0], pairs, True)
     found = np.zeros((tiles_x * tiles_y, len(rows)), bool)
     for tile, (begin, end) in enumerate(itertools.pairwise(first_pair)):
         assert (np.diff(pairs[begin:end]) > 0).all()  # front to back, none twice

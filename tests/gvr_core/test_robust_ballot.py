@@ -11,6 +11,7 @@ from render_scenes import cloud, front_camera, gaussians_of, one_torch_thread
 
 from gvr_core.gaussians import Gaussians
 from gvr_core.rendering import Rendering, get_renderer
+from gvr_core.rendering.base import mask_by_mask
 from gvr_core.rendering.torch_reference import TorchReference
 from gvr_core.robust.ballot import Ballot, centre_weights, mask_weights
 
@@ -108,11 +109,13 @@ def test_a_renderer_that_sums_no_weights_is_named() -> None:
     class Plain:
         name = "plain/1"
 
-        def render(self, gaussians, camera, background=(0.0, 0.0, 0.0), mask=None) -> Rendering:
+        def render(
+            self, gaussians, camera, background=(0.0, 0.0, 0.0), mask=None, shown=None
+        ) -> Rendering:
             return replace(NUMBA.render(gaussians, camera), weight_inside=None)
 
     with pytest.raises(TypeError, match="plain/1"):
-        mask_weights(Plain(), spot(0, 0, 2), CAMERA, FULL)
+        mask_by_mask(Plain(), spot(0, 0, 2), CAMERA, FULL[None])
 
 
 def pair(inside, outside) -> tuple[np.ndarray, np.ndarray]:

@@ -66,7 +66,9 @@ def test_relevancy_is_the_worst_pairwise_softmax() -> None:
         )
         for f in features
     ]
-    np.testing.assert_allclose(relevancy(features, text, negatives, 10.0), expected, rtol=1e-5)
+    np.testing.assert_allclose(
+        relevancy(features @ text, negatives @ features.T, 10.0), expected, rtol=1e-5
+    )
 
 
 def test_contrast_is_the_softmax_against_the_scenes_typical_patch() -> None:
@@ -77,14 +79,14 @@ def test_contrast_is_the_softmax_against_the_scenes_typical_patch() -> None:
     cosines = sorted(float(f @ text) for f in features)
     typical = np.exp(10 * cosines[3])
     expected = [np.exp(10 * (f @ text)) / (np.exp(10 * (f @ text)) + typical) for f in features]
-    found = contrast(features, text, 10.0)
+    found = contrast(features @ text, 10.0)
     assert found.dtype == np.float32
     np.testing.assert_allclose(found, expected, rtol=1e-5)
     # the typical patch itself is neither; and what is a little like everything is like nothing
     assert np.sort(found)[3] == pytest.approx(0.5)
-    np.testing.assert_allclose(contrast(np.tile(text, (4, 1)), text, 10.0), 0.5)
-    assert (contrast(features, text, 20.0) > 0.5).sum() == 3
-    assert contrast(features[:0], text, 10.0).shape == (0,)
+    np.testing.assert_allclose(contrast(np.tile(text @ text, 4), 10.0), 0.5)
+    assert (contrast(features @ text, 20.0) > 0.5).sum() == 3
+    assert contrast(features[:0] @ text, 10.0).shape == (0,)
 
 
 def test_of_a_whole_and_its_part_the_whole_is_taken_once() -> None:

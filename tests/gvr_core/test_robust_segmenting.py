@@ -21,6 +21,7 @@ from gvr_core.robust.config import RobustSegment
 from gvr_core.robust.segmenting import segment_area, segment_thing, spread_views
 from gvr_core.robust.workplace import Workplace
 from gvr_core.toolbox import Toolbox
+from gvr_core.workspace import Workspace
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +51,7 @@ def workplace(world: World, books: Books, **changes: object) -> Workplace:
         RobustSegment.model_validate(changes),
         books.index["steady"],
         (0.0, 0.0, 0.0),
+        Workspace(books.semantics.features, None),
     )
 
 
