@@ -52,16 +52,27 @@ _SHARED = digest_of_shared_files(Path(__file__).parent)
 
 def kernel(function: Function) -> Function:
     """Compile a function with numba: cached on disk, GIL released, IEEE division by zero."""
-    function.__qualname__ += f"_{_SHARED}"
-    compile_ = njit(cache=True, nogil=True, error_model="numpy", fastmath=_FASTMATH)
-    return cast(Function, compile_(function))
+    return _cached(function, fastmath=_FASTMATH)
 
 
 def precise_kernel(function: Function) -> Function:
     """As :func:`kernel`, but every operation rounds for itself, as numpy's do."""
+    return _cached(function)
+
+
+def _cached(function: Function, **options: Any) -> Function:
+    """Compile with the cache beside the code or, where that cannot be written, in the home folder.
+
+    Numba refuses to compile where it can write to neither; then each process compiles for itself.
+    """
     function.__qualname__ += f"_{_SHARED}"
-    compile_ = njit(cache=True, nogil=True, error_model="numpy")
-    return cast(Function, compile_(function))
+    options = {"nogil": True, "error_model": "numpy", **options}
+    try:
+        return cast(Function, njit(cache=True, **options)(function))
+    except RuntimeError as error:
+        if "cannot cache" not in str(error):
+            raise
+        return cast(Function, njit(**options)(function))
 
 
 def inlined(function: Function) -> Function:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gvr_core.books import DepthBook, PatchBook
 from gvr_core.cameras import Camera
 from gvr_core.localize import depths_at
+from gvr_core.robust.surfaces import middle_of, surface_pixels
 from gvr_core.run_lengths import cropped, patch_positions
 from gvr_core.scene import View
 
@@ -128,25 +129,14 @@ def place_candidate(
     pixels, (x0, y0) = cropped(patches, patch)
     height, width = pixels.shape
     depth = depths.depth(view, "median")[y0 : y0 + height, x0 : x0 + width]
-    has_depth = pixels & (depth > 0)
-    core = depth[has_depth & eroded(pixels)]
-    if len(core) == 0:
-        core = depth[has_depth]
-        if len(core) == 0:
-            return None
-    middle = float(np.median(core))
-    deviation = 1.4826 * float(np.median(np.abs(core - middle)))
-    limit = max(MAD_LIMIT * deviation, DEPTH_SLACK * middle)
-    rows, columns = np.nonzero(has_depth & (np.abs(depth - middle) <= limit))
-    if len(rows) > SAMPLES:
-        kept = np.linspace(0, len(rows) - 1, SAMPLES).astype(np.int64)
-        rows, columns = rows[kept], columns[kept]
-    xy = np.stack([columns + x0, rows + y0], axis=1) + 0.5
-    surface = camera.unproject(xy, depth[rows, columns])
-    centre = np.median(surface, axis=0)
-    distances = np.linalg.norm(surface - centre, axis=1)
-    nearest = int(np.argmin(distances))
-    radius = float(np.percentile(distances, RADIUS_PERCENTILE))
+    depth = np.ascontiguousarray(depth, np.float32)
+    inner = eroded(pixels)
+    found = surface_pixels(pixels, inner, depth, MAD_LIMIT, DEPTH_SLACK, SAMPLES)
+    if len(found) == 0:
+        return None
+    xy = found[:, ::-1] + np.array([x0 + 0.5, y0 + 0.5])
+    surface = camera.unproject(xy, depth[found[:, 0], found[:, 1]])
+    nearest, radius = middle_of(surface, RADIUS_PERCENTILE)
     pixel = (float(xy[nearest, 0]), float(xy[nearest, 1]))
     return Candidate(view, patch, relevancy, pixel, surface, surface[nearest], radius)
 

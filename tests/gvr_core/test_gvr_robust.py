@@ -57,7 +57,7 @@ def test_true_masks_and_names_give_the_true_object(world, books, query) -> None:
     assert grounding.found and grounding.confidence > 0.99
     assert len(grounding.instances) == 1 and len(grounding.ring) == 4
     assert set(grounding.seconds) == {
-        *("BEV render", "BEV gate", "BEV filter", "models", "retrieved views"),
+        *("BEV render", "BEV gate", "models", "retrieved views"),
         *("ring renders", "ring filters", "neighbours"),
     }
     assert ((grounding.scores >= 0.5) == grounding.flags).all()

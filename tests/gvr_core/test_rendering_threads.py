@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from render_scenes import camera, cloud
 
-from gvr_core.rendering import Rendering
+from gvr_core.rendering import Rendering, compiled
 from gvr_core.rendering.numba_renderer import NumbaRenderer
 
 VIEW = camera(200, 151)
@@ -57,16 +58,20 @@ def test_a_forked_child_can_render() -> None:
 def test_a_second_process_takes_the_compiled_code_from_the_cache() -> None:
     digest(NumbaRenderer())  # fills the cache, where nothing has yet
     NumbaRenderer().render(cloud(0, 10), VIEW)
+    NumbaRenderer().weights(cloud(0, 10), VIEW, MASK[None] > 0.5)
     program = """
 import sys
 from render_scenes import camera, cloud
 import numpy as np
-from gvr_core.rendering import binning, blending, projection, sorting, spherical_harmonics, weights
+from gvr_core.rendering import binning, blending, projection, sorting, spherical_harmonics
+from gvr_core.rendering import weighing, weights
 from gvr_core.rendering.numba_renderer import NumbaRenderer
 for mask in (None, np.ones((101, 150), np.float32)):
     NumbaRenderer().render(cloud(0, 500, 3), camera(), mask=mask)
+NumbaRenderer().weights(cloud(0, 500, 3), camera(), np.ones((2, 101, 150), bool))
 kernels = (projection.project, spherical_harmonics.shade, sorting.radix_argsort, binning.bin_piece,
-           binning.cursors, blending.blend_tiles, weights.sum_pairs)
+           binning.cursors, blending.blend_tiles, weights.sum_pairs,
+           weighing.mark_tiles, weighing.weigh_tiles, weighing.sum_weights)
 for kernel in kernels:
     stats = kernel.stats
     print(kernel.__name__, sum(stats.cache_misses.values()), sum(stats.cache_hits.values()))
@@ -83,8 +88,64 @@ for kernel in kernels:
     )
     lines = [line.split() for line in run.stdout.splitlines()]
     assert [line[0] for line in lines] == [
-        *("project", "shade", "radix_argsort", "bin_piece", "cursors", "blend_tiles", "sum_pairs")
+        *("project", "shade", "radix_argsort", "bin_piece", "cursors", "blend_tiles", "sum_pairs"),
+        *("mark_tiles", "weigh_tiles", "sum_weights"),
     ]
-    for name, compiled, loaded in lines:
-        assert int(compiled) == 0, name
+    for name, missed, loaded in lines:
+        assert int(missed) == 0, name
         assert int(loaded) == (2 if name == "blend_tiles" else 1), name
+
+
+PROGRAM = """
+import sys
+from pathlib import Path
+import gvr_core.rendering.sorting as sorting
+import numpy as np
+assert Path(sorting.__file__).is_relative_to(sys.argv[1]), sorting.__file__
+order = sorting.radix_argsort(np.uint32([5, 3, 9]), np.int32([0, 1, 2]))
+stats = sorting.radix_argsort.stats
+print(order.tolist(), sum(stats.cache_misses.values()), sum(stats.cache_hits.values()))
+"""
+
+
+def started(root: Path, **environment: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, str(root)],
+        env={**os.environ, "PYTHONPATH": str(root), **environment},
+        cwd=root,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def said(process: subprocess.Popen[str]) -> str:
+    out, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    return out.strip()
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """A copy of the package that nothing has been compiled for yet."""
+    source = Path(compiled.__file__).parent.parent
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(source, tmp_path / "gvr_core", ignore=ignored)
+    return tmp_path
+
+
+def test_two_processes_that_compile_at_once_agree_and_leave_a_sound_cache(copied: Path) -> None:
+    both = [started(copied), started(copied)]
+    assert {said(process).split("]")[0] for process in both} == {"[1, 0, 2"}
+    assert said(started(copied)) == "[1, 0, 2] 0 1"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="permissions as POSIX has them")
+def test_where_no_cache_can_be_written_each_process_compiles_for_itself(copied: Path) -> None:
+    nowhere = copied / "file"
+    nowhere.touch()
+    # Even the superuser can make no folder where a file has its name.
+    (copied / "gvr_core" / "rendering" / "__pycache__").touch()
+    homes = {name: str(nowhere) for name in ("HOME", "XDG_CACHE_HOME", "IPYTHONDIR")}
+    for _ in range(2):
+        assert said(started(copied, PYTHONDONTWRITEBYTECODE="1", **homes)) == "[1, 0, 2] 1 0"
