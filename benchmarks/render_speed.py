@@ -174,14 +174,14 @@ class Growth:
     """Nanoseconds for each one more."""
     explained: float
     """R^2 of a straight line."""
-    exponent: float
-    """Slope in a plot of logarithms, the constant taken away: 1 is linear."""
+    furthest: float
+    """Largest distance of a measurement from the line, as a part of the measurement."""
     points: tuple[tuple[int, float], ...]
     """Count, milliseconds."""
 
 
 def growth(over: str, held: str, points: Sequence[tuple[int, float]]) -> Growth:
-    """A straight line through (count, seconds), and the exponent of a power law.
+    """A straight line through (count, seconds).
 
     Args:
         over: What is counted.
@@ -192,10 +192,9 @@ def growth(over: str, held: str, points: Sequence[tuple[int, float]]) -> Growth:
     slope, constant = np.polyfit(counts, seconds, 1)
     rest = seconds - (constant + slope * counts)
     explained = 1 - float(rest @ rest / ((seconds - seconds.mean()) ** 2).sum())
-    above = np.maximum(seconds - max(constant, 0.0), 1e-9)
-    exponent = float(np.polyfit(np.log(counts), np.log(above), 1)[0])
+    furthest = float((np.abs(rest) / seconds).max())
     listed = tuple((int(n), 1e3 * float(s)) for n, s in zip(counts, seconds, strict=True))
-    return Growth(over, held, 1e3 * constant, 1e9 * slope, explained, exponent, listed)
+    return Growth(over, held, 1e3 * constant, 1e9 * slope, explained, furthest, listed)
 
 
 def measure_growth(repeats: int = 5) -> list[Growth]:
@@ -224,14 +223,14 @@ def measure_growth(repeats: int = 5) -> list[Growth]:
 
 def growth_table(found: Sequence[Growth]) -> Table:
     table = Table("over", "at", title="Growth of a render, one core, processor time")
-    for name in ("constant, ms", "ns each", "R^2", "exponent"):
+    for name in ("constant, ms", "ns each", "R^2", "furthest off"):
         table.add_column(name, justify="right")
     for one in found:
         table.add_row(
             *(one.over, one.held, f"{one.constant_ms:.1f}", f"{one.slope_ns:.1f}"),
-            *(f"{one.explained:.4f}", f"{one.exponent:.2f}"),
+            *(f"{one.explained:.4f}", f"{one.furthest:.0%}"),
         )
-    table.caption = "R^2 of a straight line; exponent of a power law beside the constant"
+    table.caption = "a straight line, and how far the measurement furthest from it is off"
     return table
 
 

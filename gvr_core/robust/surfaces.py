@@ -102,7 +102,7 @@ def middle_of(points: Float64Array, percentile: float) -> tuple[int, float]:
         Index of the point, and the distance.
     """
     centre, distances = np.empty(3), np.empty(len(points))
-    nearest = 0
+    nearest: int = 0
     for axis in range(3):
         centre[axis] = _middle(np.sort(points[:, axis].copy()))
     for i in range(len(points)):
@@ -112,7 +112,7 @@ def middle_of(points: Float64Array, percentile: float) -> tuple[int, float]:
             nearest = i
     ordered = np.sort(distances)
     place = percentile / 100 * (ordered.size - 1)
-    below = np.int64(np.floor(place))
+    below = int(place)
     above = min(below + 1, ordered.size - 1)
     part, gap = place - below, ordered[above] - ordered[below]
     reach = ordered[above] - gap * (1 - part) if part >= 0.5 else ordered[below] + gap * part
