@@ -1,6 +1,6 @@
 """A scene with books made of synthetic patches, and stand-ins for the models that cost nothing.
 
-The Gaussians are those of ``render_speed.surface_scene``: a room with twelve spheres in it. The
+The Gaussians are those of ``render_scene.surface_scene``: a room with twelve spheres in it. The
 cameras stand in the room and look at its middle; their depths are rendered. A view's patches are
 the visible parts of the spheres, each whole and in halves, and boxes anywhere for the rest. A
 patch of a sphere has a semantic vector near the sphere's own, a box has any.
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from render_speed import surface_scene
+from render_scene import surface_scene
 
 from gvr_core.books import Books, DepthBook, PatchBook, SemanticVectorBook, ViewBook
 from gvr_core.cameras import Camera, intrinsics, look_at
