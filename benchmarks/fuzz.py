@@ -82,12 +82,13 @@ def fuzz(name: str, runs: int, seconds: int, seed: int, folder: Path) -> Run:
     # Any log of the libraries below would drown the fuzzer's own lines.
     quiet = {"PYTHONWARNINGS": "ignore", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     log = folder / f"{name}.log"
-    with log.open("wb") as output:
+    memory = "/dev/shm" if Path("/dev/shm").is_dir() else None
+    with log.open("wb") as output, tempfile.TemporaryDirectory(dir=memory) as scratch:
         done = subprocess.run(
             command,
             stdout=output,
             stderr=subprocess.STDOUT,
-            env=os.environ | quiet,
+            env=os.environ | quiet | {"TMPDIR": scratch},
             timeout=None if seconds <= 0 else seconds + 300,
             check=False,
         )

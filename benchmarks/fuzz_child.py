@@ -28,7 +28,7 @@ def main() -> None:
         from hostile_targets import BROKEN, TARGETS
 
         target = {BROKEN.name: BROKEN, **TARGETS}[name]
-        folder = Path(tempfile.mkdtemp(dir=Path("/dev/shm") if Path("/dev/shm").is_dir() else None))
+        folder = Path(tempfile.mkdtemp())
         seeds = target.seeds(_made(folder / "seeds"))
         place = _made(folder / "run")
         # What is imported on the way is instrumented too, and counts as nobody's memory.

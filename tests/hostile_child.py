@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import resource
+import shutil
 import sys
 import tempfile
 import time
@@ -21,6 +23,7 @@ def main() -> None:
     from gvr_core.errors import GVRError
 
     folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     files = hostile_files.crafted()
     for target in {target for target, _ in files.values()}:
         (folder / target).mkdir()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import json
+import shutil
 import tempfile
 from functools import lru_cache
 from pathlib import Path
@@ -50,6 +52,7 @@ def read(name: str, data: bytes) -> bool:
 @lru_cache(maxsize=len(TARGETS))
 def _folder(name: str) -> Path:
     folder = Path(tempfile.mkdtemp(prefix=f"hostile-{name}-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     (folder / "run").mkdir()
     return folder / "run"
 

@@ -5,7 +5,7 @@ What is unpickled at all, and from where:
 * numba reads its own cache of compiled kernels, beside the source or where NUMBA_CACHE_DIR says:
   machine code, to be trusted as the source is;
 * nothing else. (``torch.load(weights_only=True)`` has a reader of its own, which looks up no name
-  that is not on its list; `tests/hostile/test_weights.py` is about that.)
+  that is not on its list; `tests/hostile/test_hostile_weights.py` is about that.)
 """
 
 from __future__ import annotations

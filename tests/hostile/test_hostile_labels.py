@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from hostile_inputs import damaged, misled, quickly, read, seeds
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from datasets.polygons import PolygonMask
@@ -49,6 +49,7 @@ CORNERS = st.lists(
 )
 
 
+@settings(quickly, max_examples=60)
 @given(CORNERS, st.integers(1, 20), st.integers(1, 20))
 def test_a_polygon_is_visible_if_it_is_drawn(
     corners: list[tuple[int, int]], width: int, height: int
