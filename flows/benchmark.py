@@ -83,7 +83,7 @@ def benchmark_flow(
         scenes=tuple(outcome.result for outcome in outcomes),
     )
     rows = tuple(row for outcome in outcomes for row in outcome.rows)
-    pictures = _pictures(outcomes, Store(store))
+    pictures = stored_pictures(outcomes, Store(store))
     folder = ResultsPlace(results).write(result, rows, pictures)
     outcome = BenchmarkOutcome(folder, result, rows, any(o.bad_input for o in outcomes))
     if outcome.failed:
@@ -121,7 +121,8 @@ def run_benchmark(
     return outcome
 
 
-def _pictures(outcomes: Sequence[SceneOutcome], store: Store) -> dict[str, Path]:
+def stored_pictures(outcomes: Sequence[SceneOutcome], store: Store) -> dict[str, Path]:
+    """Where the pictures of outcomes lie, and the evidence: name in the result -> file."""
     pictures = {}
     for outcome in outcomes:
         if outcome.pictures:

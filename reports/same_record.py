@@ -12,17 +12,20 @@ from reports.result_io import ROWS_FILE, read_result
 OWN_TOP = ("run_id", "created", "wall_seconds", "environment")
 """Fields of a result that each run has of its own."""
 OWN_SCENE = ("prepare_seconds", "query_seconds", "attempts")
-OWN_STAGE = ("seconds", "cpu_seconds", "peak_bytes", "state")
+OWN_STAGE = (
+    *("seconds", "cpu_seconds", "peak_bytes", "peak_of", "state"),
+    *("damage", "fetched", "unshared"),
+)
 OWN_QUERY = ("seconds",)
 
 
 def differences(first: Path, second: Path) -> list[str]:
-    """What differs between two results' folders: fields of the record, rows, pictures.
+    """What differs between two results' folders: fields of the record, rows, pictures, evidence.
 
-    The rows are compared byte by byte, and so are the pictures. Of the record all is compared
-    but times, peak memory, whether a stage was cached, how often a scene was tried, the run's
-    own names, its environment, and the ``run`` table of its configuration, which says where it
-    was computed.
+    All but the record is compared byte by byte. Of the record all is compared
+    but times, peak memory, whether a stage was cached and what was found damaged then, how often
+    a scene was tried, the run's own names, its environment, and the ``run`` table of its
+    configuration, which says where it was computed.
 
     Args:
         first: Folder of a result.
@@ -63,7 +66,8 @@ def _drop(record: dict[str, Any], names: tuple[str, ...]) -> None:
 
 
 def _pictures(folder: Path) -> dict[str, str]:
-    paths = (path for path in (folder / "pictures").rglob("*") if path.is_file())
+    places = (folder / "pictures", folder / "evidence")
+    paths = (path for place in places for path in place.rglob("*") if path.is_file())
     return {path.relative_to(folder).as_posix(): file_digest(path) for path in paths}
 
 

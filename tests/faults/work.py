@@ -14,10 +14,12 @@ from native_scene import written
 
 from faults import children
 from faults.children import LineFailed
+from flows.benchmark import stored_pictures
 from flows.scene import load_scene, run_line
 from flows.suite import DatasetChoice, SuiteConfig
 from gvr_core.methods import MethodConfig
 from gvr_core.models.registry import ModelConfig
+from reports import same_record
 from reports.environment import describe_environment
 from reports.record import Environment, Result, SceneResult
 from reports.result_io import new_run_id, write_result
@@ -25,15 +27,6 @@ from tasks.store import Store
 
 DATASET = "folder"
 SCENE = "two-boxes"
-
-VOLATILE = frozenset(
-    {
-        *("run_id", "created", "wall_seconds"),
-        *("seconds", "cpu_seconds", "peak_bytes", "state", "prepare_seconds", "query_seconds"),
-        *("git_revision", "git_dirty"),
-    }
-)
-"""Keys of result.json that differ between two runs of the same: ids, times, cached states."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +68,7 @@ class Work:
             scenes=tuple(outcome.result for outcome in outcomes),
         )
         rows = [row for outcome in outcomes for row in outcome.rows]
-        pictures = {name: path for outcome in outcomes for name, path in outcome.pictures.items()}
+        pictures = stored_pictures(outcomes, store)
         folder = write_result(results / result.run_id, result, rows, pictures)
         failed = [scene for scene in result.scenes if scene.status == "failed"]
         if failed:
@@ -106,7 +99,7 @@ def comparable(folder: Path) -> dict[str, Any]:
         for path in folder.rglob("*")
         if path.is_file() and path.name not in ("result.json", "SHA256SUMS")
     }
-    return {"files": files, "result": _steady(json.loads((folder / "result.json").read_text()))}
+    return {"files": files, "result": same_record.comparable(folder)}
 
 
 def difference(one: dict[str, Any], other: dict[str, Any]) -> str | None:
@@ -124,14 +117,6 @@ def emptied(folder: Path) -> Path:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     return folder
-
-
-def _steady(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _steady(item) for key, item in value.items() if key not in VOLATILE}
-    if isinstance(value, list):
-        return [_steady(item) for item in value]
-    return value
 
 
 def _first_error(failed: list[SceneResult]) -> str:
