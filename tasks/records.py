@@ -81,18 +81,25 @@ class StageRecord(BaseModel):
         return sum(artifact.bytes for artifact in self.artifacts.values())
 
     def to_json(self) -> dict[str, Any]:
-        """This record as plain JSON values."""
-        return self.model_dump(mode="json", by_alias=True)
+        """This record as plain JSON values, with the sha256 of their canonical text as ``sum``."""
+        values = self.model_dump(mode="json", by_alias=True)
+        return {**values, "sum": hashlib.sha256(canonical_json(values)).hexdigest()}
 
     @classmethod
     def from_json(cls, text: str | bytes) -> StageRecord:
         """Read a record.
 
         Raises:
-            StoreError: The text is not JSON, or not a record of this schema.
+            StoreError: The text is not JSON, not a record of this schema, or it was changed
+                after it was written. Records of before there were sums are taken without.
         """
         try:
-            return cls.model_validate_json(text)
+            values = json.loads(text)
+            found = values.pop("sum", None) if isinstance(values, dict) else None
+            rest = canonical_json(values)
+            if found is not None and found != hashlib.sha256(rest).hexdigest():
+                raise StoreError("a stage record was changed after it was written")
+            return cls.model_validate_json(rest)
         except (ValidationError, ValueError, RecursionError) as error:
             raise StoreError(f"not a stage record of schema {RECORD_SCHEMA}: {error}") from error
 
