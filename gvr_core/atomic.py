@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import uuid
@@ -44,6 +45,22 @@ def file_digest(path: Path) -> str:
     """sha256 of a file's content, in lower-case hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def why_not_written(error: Exception, folder: Path) -> str:
+    """Why something could not be written, as a phrase; of a full disk, how full it is.
+
+    Args:
+        error: What writing raised; libraries that are no Python name a full disk in their text.
+        folder: Where it was to be written; it need not exist.
+    """
+    full = (errno.ENOSPC, errno.EDQUOT)
+    if getattr(error, "errno", None) not in full and os.strerror(errno.ENOSPC) not in str(error):
+        return str(error)
+    there = next((path for path in (folder, *folder.absolute().parents) if path.exists()), folder)
+    disk = os.statvfs(there)
+    files = f", room for {disk.f_favail:,} more files" if disk.f_files else ""
+    return f"no space left in {folder} ({disk.f_bavail * disk.f_frsize:,} bytes free{files})"
 
 
 def sync_folder(folder: Path) -> None:

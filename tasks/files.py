@@ -5,8 +5,15 @@ from __future__ import annotations
 import os
 import time
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+from safetensors import SafetensorError
+
+from gvr_core.atomic import why_not_written
+from gvr_core.errors import StoreError
 
 _RACY_SECONDS = 2.0
 """A file changed this recently may change again without its time stamps moving: kernels stamp
@@ -26,6 +33,21 @@ def temporary_name(folder: Path, suffix: str = "") -> Path:
     """A name in the folder (made where missing) that no other process or thread will choose."""
     folder.mkdir(parents=True, exist_ok=True)
     return folder / f"{os.getpid()}-{uuid.uuid4().hex}{suffix}"
+
+
+@contextmanager
+def storing(root: Path) -> Iterator[None]:
+    """Make what the disk refuses an error of the store.
+
+    Raises:
+        StoreError: Something in the block could not be written; it names the store, and the room
+            that is left where that is why.
+    """
+    try:
+        yield
+    except (OSError, SafetensorError) as error:
+        reason = why_not_written(error, root)
+        raise StoreError(f"the store {root} cannot be written: {reason}") from error
 
 
 def write_atomically(path: Path, data: bytes, temporary_folder: Path) -> None:

@@ -19,18 +19,19 @@ import os
 import re
 import shutil
 import stat
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 from pydantic import JsonValue, ValidationError
 
-from gvr_core.atomic import file_digest
+from gvr_core.atomic import file_digest, why_not_written
 from gvr_core.errors import StoreError
 from gvr_core.locks import file_lock
 from tasks.arrays import StoredArrays, write_arrays
-from tasks.files import Stamp, move_into_place, sync_file, temporary_name
+from tasks.files import Stamp, move_into_place, storing, sync_file, temporary_name
 from tasks.records import DIGEST, Artifact, canonical_json
 
 DEFAULT_ROOT = Path(".gvr/store")
@@ -75,14 +76,11 @@ class ObjectStore:
             meta: JSON values; kept in the file as well as in the handle.
 
         Raises:
-            StoreError: A name, dtype or meta value that cannot be stored.
+            StoreError: A name, dtype or meta value that cannot be stored, or a full disk.
         """
-        temporary = temporary_name(self.temporary, ".safetensors")
-        try:
+        with self._temporary(".safetensors") as temporary:
             write_arrays(temporary, arrays, meta or {})
             return self._adopt(temporary, kind, ".safetensors", meta)
-        finally:
-            temporary.unlink(missing_ok=True)
 
     def put_json(
         self, kind: str, value: JsonValue, meta: Mapping[str, Any] | None = None
@@ -106,14 +104,11 @@ class ObjectStore:
             meta: JSON values for the handle.
 
         Raises:
-            StoreError: A suffix or meta value that cannot be used.
+            StoreError: A suffix or meta value that cannot be used, or a full disk.
         """
-        temporary = temporary_name(self.temporary, ".bytes")
-        try:
+        with self._temporary(".bytes") as temporary:
             temporary.write_bytes(data)
             return self._adopt(temporary, kind, suffix, meta)
-        finally:
-            temporary.unlink(missing_ok=True)
 
     def put_file(
         self,
@@ -131,17 +126,26 @@ class ObjectStore:
             suffix: Of the object's name; the file's own, in lower case, where None.
 
         Raises:
-            StoreError: There is no such file, or a suffix that cannot be used.
+            StoreError: There is no such file, a suffix that cannot be used, or a full disk.
         """
         chosen = path.suffix.lower() if suffix is None else suffix
-        temporary = temporary_name(self.temporary, ".copy")
-        try:
-            shutil.copyfile(path, temporary)
+        with self._temporary(".copy") as temporary:
+            try:
+                shutil.copyfile(path, temporary)
+            except OSError as error:
+                reason = why_not_written(error, self.root)
+                raise StoreError(f"{path}: cannot be copied into the store: {reason}") from error
             return self._adopt(temporary, kind, chosen, meta)
-        except OSError as error:
-            raise StoreError(f"{path}: cannot be copied into the store: {error}") from error
-        finally:
-            temporary.unlink(missing_ok=True)
+
+    @contextmanager
+    def _temporary(self, suffix: str) -> Iterator[Path]:
+        """The name of a file that is gone at the end of the block."""
+        with storing(self.root):
+            temporary = temporary_name(self.temporary, suffix)
+            try:
+                yield temporary
+            finally:
+                temporary.unlink(missing_ok=True)
 
     def _adopt(
         self, temporary: Path, kind: str, suffix: str, meta: Mapping[str, Any] | None

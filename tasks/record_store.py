@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +14,7 @@ from pydantic import JsonValue, ValidationError
 
 from gvr_core.errors import StoreError
 from gvr_core.locks import file_lock
-from tasks.files import temporary_name, write_atomically
+from tasks.files import storing, temporary_name, write_atomically
 from tasks.measure import Measurement
 from tasks.objects import ObjectStore
 from tasks.records import Artifact, StageRecord, canonical_json, check_key, check_stage_name
@@ -129,7 +129,7 @@ class RecordStore(ObjectStore):
             path = self.locate(artifact)
         except StoreError:
             return
-        with file_lock(self.guard):
+        with storing(self.root), file_lock(self.guard):
             if os.path.lexists(path) and self.problem(artifact, thorough=True) is not None:
                 path.replace(temporary_name(self.root / "damaged", f"-{path.name}"))
 
@@ -176,8 +176,10 @@ class RecordStore(ObjectStore):
         held: set[Path] = _held.__dict__.setdefault("paths", set())
         if path in held:
             raise StoreError(f"the stage with key {key} asks for its own result")
-        with file_lock(path):
-            os.utime(path)  # the garbage collector spares what is newer than a held lock
+        with ExitStack() as stack:
+            with storing(self.root):
+                stack.enter_context(file_lock(path))
+                os.utime(path)  # the garbage collector spares what is newer than a held lock
             held.add(path)
             try:
                 yield
@@ -225,7 +227,7 @@ class RecordStore(ObjectStore):
 
     def _write_record(self, record: StageRecord) -> None:
         text = canonical_json(record.to_json(), name=f"record of {record.stage}")
-        with file_lock(self.guard, shared=True):
+        with storing(self.root), file_lock(self.guard, shared=True):
             write_atomically(self.record_path(record.stage, record.key), text, self.temporary)
 
     def records(self) -> Iterator[tuple[Path, StageRecord | None]]:
