@@ -11,6 +11,7 @@
     │   ├── ModelError            a model's weights or its name
     │   └── ResultError           a result's folder (reports.result_check)
     ├── StoreError            the artifact store: a damaged object, a record that is not ours
+    ├── ResultWriteError      a disk that does not take a result (reports.result_check)
     ├── SyncError             MLflow could not be filled (reports.mlflow_store)
     └── ServerError           MLflow's pages could not be served (reports.mlflow_server)
 """

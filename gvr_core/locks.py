@@ -40,7 +40,7 @@ def file_lock(path: Path, *, shared: bool = False, timeout: float | None = None)
     Waiting polls (5 ms, growing to 0.2 s), so that Ctrl-C and ``timeout`` work in any thread.
 
     Args:
-        path: The lock file; made where missing, and left behind.
+        path: The lock file; made where missing, and left behind. Or a folder that is there.
         shared: Many holders at once, as long as none holds it alone.
         timeout: Seconds to wait; None waits for ever, 0 tries once.
 
@@ -85,8 +85,9 @@ def _try_lock(path: Path, operation: int) -> int | None:
     """The descriptor of the locked file, or None where another holds it."""
     while True:
         path.parent.mkdir(parents=True, exist_ok=True)
+        access = os.O_RDONLY if path.is_dir() else os.O_RDWR | os.O_CREAT
         try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            descriptor = os.open(path, access | os.O_CLOEXEC, 0o644)
         except FileNotFoundError:
             continue  # the folder went away between the two lines
         _open_files.add(descriptor)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gvr_core.errors import InputError
+from gvr_core.errors import GVRError, InputError
 from reports.record import Result, Row
 
 PICTURE_NAME = re.compile(r"pictures(/[A-Za-z0-9_-][A-Za-z0-9_.-]{0,199})+")
@@ -16,6 +16,10 @@ PICTURE_NAME = re.compile(r"pictures(/[A-Za-z0-9_-][A-Za-z0-9_.-]{0,199})+")
 
 class ResultError(InputError):
     """A result that cannot be written as asked, or a result's folder that cannot be read."""
+
+
+class ResultWriteError(GVRError):
+    """The disk does not take a result: it is full, or may not be written."""
 
 
 def check_consistent(

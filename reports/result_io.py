@@ -16,14 +16,17 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticSerializationError
 
-from gvr_core.atomic import file_digest
+from gvr_core.atomic import file_digest, why_not_written
+from gvr_core.errors import StoreError
+from gvr_core.locks import file_lock
 from reports.record import SCHEMA_VERSION, Result, Row
-from reports.result_check import ResultError, check_consistent
+from reports.result_check import ResultError, ResultWriteError, check_consistent
 
 RESULT_FILE = "result.json"
 ROWS_FILE = "rows.jsonl"
 TABLE_FILE = "rows.parquet"
 SUMS_FILE = "SHA256SUMS"
+_UNFINISHED = ".tmp"
 
 _Record = TypeVar("_Record", bound=BaseModel)
 
@@ -54,6 +57,7 @@ def write_result(
         ResultError: if ``folder`` exists; for a number that is not finite, two rows with the same
             key, a row of a scene that the result does not list, or a picture that the result
             names but ``pictures`` lacks.
+        ResultWriteError: if the disk is full, or may not be written.
     """
     pictures = {} if pictures is None else pictures
     folder = Path(folder)
@@ -65,29 +69,63 @@ def write_result(
         )
     check_consistent(folder, result, rows, pictures)
     # A sibling is on the same file system, so that the rename is atomic.
-    building = folder.parent / f".{folder.name}.{secrets.token_hex(4)}.tmp"
+    building = folder.parent / f".{folder.name}.{secrets.token_hex(4)}{_UNFINISHED}"
     try:
-        building.mkdir(parents=True)
-        _write_text(building / RESULT_FILE, _json(result, indent=1) + "\n")
-        _write_text(building / ROWS_FILE, "".join(_json(row) + "\n" for row in rows))
-        pq.write_table(rows_table(rows), building / TABLE_FILE)
-        for name, source in pictures.items():
-            target = building / name
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(source if isinstance(source, bytes) else Path(source).read_bytes())
-        names = sorted(p.relative_to(building).as_posix() for p in _files(building))
-        sums = "".join(f"{file_digest(building / name)}  {name}\n" for name in names)
-        _write_text(building / SUMS_FILE, sums)
-        for path in [*_files(building), *_folders(building)]:
-            _fsync(path)
-        # A rename onto a folder that another writer has filled meanwhile fails, as it should.
-        building.rename(folder)
-    except (OSError, PydanticSerializationError) as error:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(folder.parent)
+        # Writers share this lock; whoever sweeps takes it alone.
+        with file_lock(folder.parent, shared=True):
+            try:
+                _build(building, result, rows, pictures)
+                # A rename onto a folder that another writer has filled meanwhile fails.
+                building.rename(folder)
+            finally:
+                shutil.rmtree(building, ignore_errors=True)
+        _fsync(folder.parent)
+    except PydanticSerializationError as error:
         raise ResultError(f"cannot write the result: {error}", path=folder) from error
-    finally:
-        shutil.rmtree(building, ignore_errors=True)
-    _fsync(folder.parent)
+    except OSError as error:
+        if folder.exists():
+            raise ResultError(f"cannot write the result, as another writer was faster: {error}", path=folder) from error
+        reason = why_not_written(error, folder.parent)
+        raise ResultWriteError(f"{folder}: the result cannot be written: {reason}") from error
     return folder
+
+
+def _build(
+    building: Path, result: Result, rows: Sequence[Row], pictures: Mapping[str, Path | bytes]
+) -> None:
+    """Write all files of a result into a new folder, and wait until they are on the disk."""
+    building.mkdir(parents=True)
+    _write_text(building / RESULT_FILE, _json(result, indent=1) + "\n")
+    _write_text(building / ROWS_FILE, "".join(_json(row) + "\n" for row in rows))
+    pq.write_table(rows_table(rows), building / TABLE_FILE)
+    for name, source in pictures.items():
+        target = building / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(source if isinstance(source, bytes) else _picture(source))
+    names = sorted(p.relative_to(building).as_posix() for p in _files(building))
+    sums = "".join(f"{file_digest(building / name)}  {name}\n" for name in names)
+    _write_text(building / SUMS_FILE, sums)
+    for path in [*_files(building), *_folders(building)]:
+        _fsync(path)
+
+
+def _picture(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ResultError(f"a picture cannot be read: {error}", path=path) from error
+
+
+def _sweep(root: Path) -> None:
+    """Remove what killed writers left unfinished, unless somebody is writing just now."""
+    try:
+        with file_lock(root, timeout=0):
+            for left in root.glob(f".*{_UNFINISHED}"):
+                shutil.rmtree(left, ignore_errors=True)
+    except StoreError:
+        return  # locked: the next writer sweeps
 
 
 def read_result(folder: Path) -> tuple[Result, list[Row]]:
@@ -114,6 +152,20 @@ def read_result(folder: Path) -> tuple[Result, list[Row]]:
     # parses (a lost last line, an edited value) is left for the sums to find.
     _check_sums(folder, (RESULT_FILE, ROWS_FILE))
     return result, rows
+
+
+def check_files(folder: Path) -> None:
+    """Check every file of a result, the pictures too, against the sums written with them.
+
+    Raises:
+        ResultError: for a file that is missing, or was changed after it was written.
+    """
+    path = folder / SUMS_FILE
+    names = [line.partition("  ")[2] for line in _read_text(path).splitlines()]
+    for name in names:
+        if not (folder / name).is_file():
+            raise ResultError("the file is missing", path=folder / name)
+    _check_sums(folder, names)
 
 
 def list_results(root: Path) -> list[Path]:
