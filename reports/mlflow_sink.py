@@ -30,7 +30,7 @@ from reports.mlflow_store import (
     sqlite_database,
 )
 from reports.record import Result
-from reports.result_io import SUMS_FILE, read_result
+from reports.result_io import SUMS_FILE, check_files, read_result
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -106,6 +106,7 @@ def sync(
     started = time.monotonic()
     uri = tracking_uri or default_tracking_uri()
     result, rows = read_result(result_folder)
+    check_files(result_folder)  # pictures and tables go to MLflow as they are
     contents = run_contents(result_folder, result, rows, aggregate(rows, result.scenes))
     try:
         # One writer per result; of two syncs at once the second finds everything whole.
