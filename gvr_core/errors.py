@@ -12,6 +12,7 @@
     │   └── ResultError           a result's folder (reports.result_check)
     ├── StoreError            the artifact store: a damaged object, a record that is not ours
     ├── ResultWriteError      a disk that does not take a result (reports.result_check)
+    ├── PrefectLost           the Prefect server is gone (tasks.prefect_loss)
     ├── SyncError             MLflow could not be filled (reports.mlflow_store)
     └── ServerError           MLflow's pages could not be served (reports.mlflow_server)
 """
