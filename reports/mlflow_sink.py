@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from gvr_core.atomic import why_not_written
 from reports.aggregate import aggregate
 from reports.mlflow_content import run_contents
 from reports.mlflow_run import RunContent
@@ -40,6 +41,9 @@ LAYOUT = 3
 """Version of the names and contents of runs; a sync by a newer one fills old runs again."""
 WHOLE_TAG = "gvr.synced"
 """Set last, to the layout and the digest of the record."""
+
+FILL_SECONDS = 300.0
+"""A run waits no longer than this for MLflow to be filled; ``gvr sync`` waits for ever."""
 
 _METRICS_PER_BATCH = 1000
 _ITEMS_PER_BATCH = 100
@@ -84,7 +88,10 @@ class SyncReport:
 
 
 def sync(
-    result_folder: Path, tracking_uri: str | None = None, experiment: str = EXPERIMENT
+    result_folder: Path,
+    tracking_uri: str | None = None,
+    experiment: str = EXPERIMENT,
+    within: float | None = None,
 ) -> SyncReport:
     """Bring MLflow to what a result's folder says.
 
@@ -93,6 +100,7 @@ def sync(
         tracking_uri: As MLflow takes it; default: the user's ``MLFLOW_TRACKING_URI``, else the
             project's local store.
         experiment: Name of the experiment; made where missing.
+        within: Seconds after which no further request is made; None for no limit.
 
     Raises:
         ResultError: for a folder that is no result.
@@ -111,11 +119,14 @@ def sync(
     try:
         # One writer per result; of two syncs at once the second finds everything whole.
         with locked(result_folder), mlflow_client(uri) as client:
-            experiment_id = _experiment(client, uri, experiment)
-            writer = _Writer(client, uri, experiment_id, result, _digest(result_folder))
+            limited: Any = client if within is None else _Hurried(client, started + within, uri)
+            experiment_id = _experiment(limited, uri, experiment)
+            writer = _Writer(limited, uri, experiment_id, result, _digest(result_folder))
             parent = writer.write(contents)
     except (MlflowException, RequestException, SQLAlchemyError, OSError) as error:
         reason = str(error).strip().splitlines() or [type(error).__name__]
+        if isinstance(error, OSError) and (database := sqlite_database(uri)) is not None:
+            reason = [why_not_written(error, database.parent)]
         raise SyncError(
             f"{reason[0][:300]}; the result in {result_folder} is safe, and `gvr sync` goes on "
             "from here",
@@ -133,6 +144,20 @@ def sync(
         n_left_out=sum(content.n_left_out for content in contents),
         seconds=time.monotonic() - started,
     )
+
+
+class _Hurried:
+    """A client that makes no request after a moment, as a slow server answers each in time."""
+
+    def __init__(self, client: MlflowClient, deadline: float, uri: str) -> None:
+        self._client = client
+        self._deadline = deadline
+        self._uri = uri
+
+    def __getattr__(self, name: str) -> Any:
+        if time.monotonic() > self._deadline:
+            raise TimeoutError(f"{self._uri} is slow, and the time for filling it is over")
+        return getattr(self._client, name)
 
 
 def _digest(folder: Path) -> str:
