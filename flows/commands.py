@@ -66,9 +66,10 @@ def run(
         require_weights(chosen)
 
     from flows.benchmark import run_benchmark
+    from tasks.prefect_loss import prefect_loss
     from tasks.prefect_runtime import prefect_runtime
 
-    with prefect_runtime(Store(store), home=home() / "prefect"):
+    with prefect_loss(), prefect_runtime(Store(store), home=home() / "prefect"):
         outcome = run_benchmark(suite, store, results, progress)
     print_tables(outcome.result, outcome.rows)
     console.print(f"\nResult: {outcome.folder}", soft_wrap=True, highlight=False)
@@ -212,13 +213,14 @@ def sync(names: Sequence[str], root: Path, mlflow: str) -> None:
 
 
 def _fill_mlflow(folders: Sequence[Path], uri: str, must: bool = False) -> None:
+    from reports.mlflow_sink import FILL_SECONDS
     from reports.mlflow_sink import sync as sync_result
 
     for folder in folders:
         result, _ = read_result(folder)
         experiment = str(result.config.get("experiment", "gvr-bench"))
         try:
-            report = sync_result(folder, uri, experiment)
+            report = sync_result(folder, uri, experiment, None if must else FILL_SECONDS)
         except SyncError as error:
             if must:
                 raise
