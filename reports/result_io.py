@@ -86,7 +86,9 @@ def write_result(
         raise ResultError(f"cannot write the result: {error}", path=folder) from error
     except OSError as error:
         if folder.exists():
-            raise ResultError(f"cannot write the result, as another writer was faster: {error}", path=folder) from error
+            raise ResultError(
+                f"cannot write the result, as another writer was faster: {error}", path=folder
+            ) from error
         reason = why_not_written(error, folder.parent)
         raise ResultWriteError(f"{folder}: the result cannot be written: {reason}") from error
     return folder

@@ -9,10 +9,10 @@ from typing import Any
 from faults.work import comparable, difference
 from gvr_core.errors import GVRError
 from gvr_core.locks import file_lock
-from reports.result_io import list_results, read_result
+from reports.result_io import check_files, list_results, read_result
 from tasks.store import Store
 
-MOST_SECONDS = 60.0
+MOST_SECONDS = 120.0
 """A run after a fault that takes longer than this was in somebody's way."""
 
 
@@ -47,9 +47,10 @@ def losses_after(
     found = []
     try:
         folder = run()
+        read_result(folder)
+        check_files(folder)
     except Exception as error:
         return [f"the next run failed: {type(error).__name__}: {error}"]
-    read_result(folder)
     if unlike := difference(reference, comparable(folder)):
         found.append(f"the next result is not the undisturbed one: {unlike}")
     report = Store(store).verify()
@@ -67,7 +68,7 @@ def litter(store: Path, results: Path) -> list[str]:
     """Unfinished files that neither the next run nor ``gvr cache gc`` takes away."""
     Store(store).gc(grace_seconds=0)
     left = [path for name in ("tmp", "damaged") for path in (store / name).glob("*")]
-    left += [path for path in results.glob(".*.tmp")]
+    left += list(results.glob(".*.tmp"))
     found = [f"{path.name} stays for ever" for path in left]
     if not Store(store).verify().sound:
         found.append("cache gc damaged the store")

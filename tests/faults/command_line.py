@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -61,12 +62,16 @@ class PrefectServer:
     ) -> None:
         self.stop()
 
+    @property
+    def pids(self) -> list[int]:
+        """The server's process and that of what started it, which would end it politely."""
+        family = psutil.Process(self._process.pid).children(recursive=True)
+        return [self._process.pid, *(member.pid for member in family)]
+
     def kill(self) -> None:
         """kill -9 of the server and of what started it."""
-        family = psutil.Process(self._process.pid).children(recursive=True)
-        self._process.kill()
-        for member in family:
-            member.kill()
+        for pid in self.pids:
+            os.kill(pid, signal.SIGKILL)
         self._process.wait()
 
     def stop(self) -> None:

@@ -7,6 +7,7 @@ import re
 import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,7 @@ def fill_disk(
         place = emptied(folder / "full")
         store, results = place / "store", place / "results"
         with small_disk(place / small, option):
-            ended = children.run(lambda s=store, r=results: work.run(s, r))  # type: ignore[misc]
+            ended = children.run(partial(work.run, store, results))
             losses = []
             if ended.code == 0:
                 losses.append("the disk was large enough")
@@ -89,9 +90,11 @@ def fill_disk(
             losses += losses_before(results, reference) if small == "results" else []
             if store.is_dir():
                 problems = Store(store).verify().problems
-                losses += [f"cache verify: {problem.path} {problem.finding}" for problem in problems]
+                losses += [
+                    f"cache verify: {problem.path} {problem.finding}" for problem in problems
+                ]
             free_space(place / small)
-            losses += losses_after(store, results, reference, lambda: again(work, store, results))
+            losses += losses_after(store, results, reference, partial(again, work, store, results))
             line.add(losses, option)
 
 

@@ -71,7 +71,8 @@ class WritePoints:
             os.kill(os.getpid(), signal.SIGKILL)
 
     def _inside(self, path: Any) -> bool:
-        return isinstance(path, str | Path) and f"{os.path.abspath(path)}{os.sep}".startswith(
+        # Not resolve(), which looks at the disk for every file that anybody opens.
+        return isinstance(path, str | Path) and f"{Path(path).absolute()}{os.sep}".startswith(
             self.roots
         )
 
@@ -82,7 +83,7 @@ class WritePoints:
                 self.reach(f"open {Path(path).suffix}")
         elif event == "fcntl.flock":
             self.reach("lock")
-        elif event == "os.mkdir" and os.path.isdir(arguments[0]):
+        elif event == "os.mkdir" and Path(arguments[0]).is_dir():
             return  # changes nothing
         elif event in _PATH_EVENTS and self._inside(arguments[0]):
             self.reach(f"{_PATH_EVENTS[event]} {Path(arguments[0]).suffix}")

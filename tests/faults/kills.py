@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,9 +55,7 @@ def kill_at_points(
     for point in points:
         store, results = _places(emptied(folder / "killed"))
 
-        def disturbed(
-            store: Path = store, results: Path = results, point: int = point
-        ) -> None:
+        def disturbed(store: Path = store, results: Path = results, point: int = point) -> None:
             WritePoints((store, results), kill_at=point).install()
             work.run(store, results)
 
@@ -67,7 +66,7 @@ def kill_at_points(
             continue
         losses = losses_before(results, reference)
         started = time.monotonic()
-        losses += losses_after(store, results, reference, lambda: again(work, store, results))
+        losses += losses_after(store, results, reference, partial(again, work, store, results))
         longest = max(longest, time.monotonic() - started)
         if longest > MOST_SECONDS:
             losses.append(f"the next run took {longest:.0f} s")

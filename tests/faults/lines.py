@@ -36,10 +36,12 @@ class Line:
 
 def markdown(lines: Sequence[Line], command: str) -> str:
     """The table of faults."""
-    head = "| fault | tried | survived | lost | | command |\n| --- | ---: | ---: | ---: | --- | --- |"
+    head = (
+        "| fault | tried | survived | lost | | command |\n| --- | ---: | ---: | ---: | --- | --- |"
+    )
     rows = [
         f"| {line.fault} | {line.tried} | {line.survived} | {line.lost} "
-        f"| {line.skipped and 'skipped: ' + line.skipped or line.note} "
+        f"| {(line.skipped and 'skipped: ' + line.skipped) or line.note} "
         f"| `{command} --only {line.part}` |"
         for line in lines
     ]

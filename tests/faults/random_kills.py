@@ -14,6 +14,7 @@ import numpy as np
 from faults import children
 from faults.checks import losses_after, losses_before
 from faults.command_line import CommandLine
+from faults.injection import WritePoints
 from faults.lines import Line
 from faults.mlflow_level import sync_losses
 
@@ -74,6 +75,51 @@ def kill_processes(
         count.add(_losses(line, home, reference), f"process, after {moment:.2f} s")
     if early:
         count.note = f"{early} had ended before"
+
+
+def write_points(line: CommandLine) -> list[str]:
+    """The names of all write points of an undisturbed run under Prefect, but for MLflow's."""
+    home, log = line.new_home("counted"), line.folder / "points-of-gvr.txt"
+
+    def count() -> None:
+        with log.open("w") as file:
+            roots = (home / "store", home / "results")
+            WritePoints(roots, note=lambda name: print(name, file=file, flush=True)).install()
+            line.run(home)()
+
+    ended = children.run(count, timeout=300)
+    if ended.code != 0:
+        raise RuntimeError(f"the undisturbed run failed: {ended.output[-500:]}")
+    return log.read_text().splitlines()
+
+
+def kill_at_points(
+    line: CommandLine,
+    reference: dict[str, Any],
+    names: Sequence[str],
+    points: Sequence[int],
+    count: Line,
+) -> None:
+    """Kill forked runs at these write points; after each, run again and sync.
+
+    Args:
+        line: The command line.
+        reference: An undisturbed result.
+        names: Of all write points.
+        points: Which to try, from 1.
+        count: Where tries are counted.
+    """
+    for point in points:
+        home = line.new_home("killed")
+
+        def disturbed(home: Path = home, point: int = point) -> None:
+            WritePoints((home / "store", home / "results"), kill_at=point).install()
+            line.run(home)()
+
+        ended = children.run(disturbed, timeout=300)
+        losses = [] if ended.killed else [f"the run was not killed: {ended.last_line}"]
+        losses += _losses(line, home, reference)
+        count.add(losses, f"point {point} ({names[point - 1]})")
 
 
 def _losses(line: CommandLine, home: Path, reference: dict[str, Any]) -> list[str]:

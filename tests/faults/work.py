@@ -10,10 +10,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from faults import children
-from faults.children import LineFailed
 from native_scene import written
 
+from faults import children
+from faults.children import LineFailed
 from flows.scene import load_scene, run_line
 from flows.suite import DatasetChoice, SuiteConfig
 from gvr_core.methods import MethodConfig
