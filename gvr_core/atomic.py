@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import errno
+import fcntl
+import glob
 import hashlib
 import os
+import time
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
+
+_YOUNG_SECONDS = 60.0
+"""A writer locks its file right after making it; one that is older and free has lost its writer."""
 
 
 @contextmanager
@@ -17,7 +23,8 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
     """A binary stream whose content takes the path's name only once it is whole and on disk.
 
     The bytes go to a hidden neighbour of the path, which is flushed to the disk and renamed
-    when the block ends, and deleted when the block raises.
+    when the block ends, and deleted when the block raises. Those that killed writers of the same
+    path have left are deleted first.
 
     Args:
         path: The file to make or to replace. Its folder is made where it is missing.
@@ -26,10 +33,13 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         OSError: if the folder or the file cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    _sweep(path)
     # A name of its own for each writer: two that write one path must not share a stream.
     temporary = path.parent / f".{path.name}.{uuid.uuid4().hex}.tmp"
     try:
         with temporary.open("xb") as stream:
+            with suppress(OSError):  # a file system without locks: nothing is swept there
+                fcntl.flock(stream, fcntl.LOCK_EX)  # until it is closed, however that happens
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
@@ -39,6 +49,15 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
             temporary.unlink()
         raise
     sync_folder(path.parent)
+
+
+def _sweep(path: Path) -> None:
+    """Delete what killed writers of a path have left beside it."""
+    for left in path.parent.glob(f".{glob.escape(path.name)}.{'[0-9a-f]' * 32}.tmp"):
+        with suppress(OSError), left.open("rb") as stream:
+            if time.time() - left.stat().st_mtime > _YOUNG_SECONDS:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                left.unlink()
 
 
 def file_digest(path: Path) -> str:
