@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from faults.checks import litter
 from faults.full_disk import message_losses
 from faults.lines import Line, markdown
 from faults.work import difference
-
 from tasks.store import Store
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -19,6 +19,7 @@ from record_samples import make_sample
 
 from reports.mlflow_sink import WHOLE_TAG, sync
 from reports.mlflow_store import LocalStore, SyncError, mlflow_client
+from reports.result_check import ResultError
 from reports.result_io import write_result
 
 
@@ -32,6 +33,20 @@ def test_again_changes_nothing(result_folder: Path, store: LocalStore) -> None:
     rewritten = sync(result_folder, store.uri)
     assert (rewritten.n_created, rewritten.n_continued, rewritten.n_unchanged) == (0, 5, 0)
     assert everything(store) == before
+
+
+def test_a_sync_whose_time_is_over_stops_and_goes_on_later(
+    result_folder: Path, store: LocalStore
+) -> None:
+    with pytest.raises(SyncError, match=r"slow, and the time.*is over.*gvr sync"):
+        sync(result_folder, store.uri, within=0.0)
+    assert sync(result_folder, store.uri, within=60.0).n_created == 5
+
+
+def test_damaged_pictures_do_not_get_into_mlflow(result_folder: Path, store: LocalStore) -> None:
+    next((result_folder / "pictures").rglob("*.png")).write_bytes(b"damaged")
+    with pytest.raises(ResultError, match="changed after it was written"):
+        sync(result_folder, store.uri)
 
 
 @pytest.fixture(scope="module")
