@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,8 +14,10 @@ from typing import Any
 
 from faults import children
 from faults.checks import losses_after, losses_before
+from faults.command_line import CommandLine
 from faults.kills import again
 from faults.lines import Line
+from faults.mlflow_level import sync_losses
 from faults.work import Work, emptied
 from tasks.store import Store
 
@@ -96,6 +99,56 @@ def fill_disk(
             free_space(place / small)
             losses += losses_after(store, results, reference, partial(again, work, store, results))
             line.add(losses, option)
+
+
+def fill_disk_of_runs(
+    line: CommandLine,
+    reference: dict[str, Any],
+    small: str,
+    sizes: Sequence[int],
+    count: Line,
+) -> None:
+    """The same for ``gvr run``: its exit code, what it says, and MLflow afterwards.
+
+    Args:
+        line: The command line.
+        reference: An undisturbed result.
+        small: Which folder of the home the disk is for: ``"store"``, ``"results"``, ``"mlflow"``.
+        sizes: Of each disk, bytes; for MLflow beside its empty store.
+        count: Where tries are counted.
+    """
+    for size in sizes:
+        home = line.new_home("full-home")
+        database = line.empty_mlflow.database
+        room = size + (occupied(database.parent) if small == "mlflow" else 0)
+        with small_disk(home / small, f"size={room}"):
+            if small == "mlflow":
+                shutil.copy(database, home / "mlflow" / "mlflow.db")
+            ended = children.run(line.run(home), timeout=300)
+            # A result that MLflow does not hold is whole, and the run went well.
+            expected = 0 if small == "mlflow" else 1
+            losses = []
+            if ended.code != expected:
+                losses.append(f"exit code {ended.code}: {ended.output.strip()[-300:]}")
+            if small != "mlflow":
+                losses += message_losses(ended.output, home / small)
+            elif "Traceback" in ended.output or not re.search(
+                r"MLflow was not filled: .*(no space left|disk is full)", ended.output
+            ):
+                losses.append(f"no word of it: {ended.output.strip()[-300:]}")
+            if small != "store":  # else the result lists a scene that failed, as it should
+                losses += losses_before(home / "results", reference)
+            free_space(home / small)
+            losses += losses_after(
+                home / "store", home / "results", reference, partial(_result, line, home)
+            )
+            if small == "mlflow":
+                losses += sync_losses(line, home)
+            count.add(losses, f"{size:,} bytes")
+
+
+def _result(line: CommandLine, home: Path) -> Path:
+    return line.finish(home)[0]
 
 
 def message_losses(output: str, place: Path) -> list[str]:

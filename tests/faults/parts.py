@@ -20,6 +20,9 @@ IMPORT_SECONDS = 10.0
 """About what the start of Python and all imports take."""
 
 
+MOUNT = "mounting needs root: unshare -rm python benchmarks/reliability.py"
+
+
 @dataclass
 class Bench:
     """What all parts share."""
@@ -109,7 +112,23 @@ def full(bench: Bench) -> Iterable[Line]:
             options += [f"size=64m,nr_inodes={files * (i + 1) // (some + 1)}" for i in range(some)]
             full_disk.fill_disk(bench.work, bench.folder, bench.reference, name, options, line)
         else:
-            line.skipped = "mounting needs root: unshare -rm python benchmarks/reliability.py"
+            line.skipped = MOUNT
+        yield line
+
+
+def full_for_runs(bench: Bench) -> Iterable[Line]:
+    """Disks that are too small for ``gvr run``."""
+    for name in ("store", "results", "mlflow"):
+        line = Line("full-runs", f"`gvr run`, disk of the {name} full")
+        if full_disk.may_mount():
+            if name == "mlflow":
+                sizes = [4096, 40960] if bench.quick else [4096 * 4**step for step in range(4)]
+            else:
+                needed = full_disk.occupied(bench.undisturbed / name)
+                sizes = full_disk.sizes_up_to(needed, 1 if bench.quick else 6)
+            full_disk.fill_disk_of_runs(bench.command_line, bench.reference, name, sizes, line)
+        else:
+            line.skipped = MOUNT
         yield line
 
 
@@ -222,6 +241,7 @@ PARTS: dict[str, Callable[[Bench], Iterable[Line]]] = {
     "damage": damaged,
     "memory": out_of_memory,
     "kills": random_moments,
+    "full-runs": full_for_runs,
     "prefect": prefect_server,
     "tracking": tracking_server,
 }

@@ -13,7 +13,7 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 QUICK = ("points", "races", "disk", "damage", "memory")
-SLOW = ("kills", "prefect", "tracking")
+SLOW = ("kills", "full-runs", "prefect", "tracking")
 
 
 def tried(parts: tuple[str, ...], *options: str) -> dict[str, list[dict[str, Any]]]:
