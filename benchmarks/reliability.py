@@ -19,7 +19,7 @@ TESTS = Path(__file__).resolve().parents[1] / "tests"
 
 def run() -> None:
     """Run the script that lies with the tests, whose short form it shares."""
-    sys.path[:0] = [str(TESTS.parent), str(TESTS), str(TESTS / "reports")]
+    sys.path[:0] = [str(TESTS.parent), str(TESTS)]
     from faults.script import main
 
     typer.run(main)

@@ -101,7 +101,7 @@ def mlflow_client(tracking_uri: str) -> Iterator[MlflowClient]:
     """
     # Before the import: MLflow reads it there, and starts a thread.
     os.environ.update(telemetry_variables())
-    with _limits():
+    with _limits(), _no_database_log():
         from mlflow import MlflowClient
 
         database = sqlite_database(tracking_uri)
@@ -145,7 +145,7 @@ def create_store(database: Path) -> None:
     uri = f"sqlite:///{database}"
     try:
         database.parent.mkdir(parents=True, exist_ok=True)
-        with locked(database.with_name(f".{database.name}.lock")), _no_migration_log():
+        with locked(database.with_name(f".{database.name}.lock")), _no_database_log():
             SqlAlchemyStore(uri, artifact_root(database).as_uri())  # type: ignore[no-untyped-call]
     except (OSError, MlflowException, SQLAlchemyError) as error:
         raise SyncError(f"cannot be opened or created: {error}", tracking_uri=uri) from error
@@ -180,12 +180,13 @@ def _limits() -> Iterator[None]:
 
 
 @contextmanager
-def _no_migration_log() -> Iterator[None]:
-    # Dozens of lines about tables that nobody asked for; errors still come as exceptions.
+def _no_database_log() -> Iterator[None]:
+    # Dozens of lines about tables that nobody asked for; errors still come as exceptions, and
+    # would be shown twice, the first time with a traceback.
     loggers = [logging.getLogger(name) for name in ("mlflow.store.db.utils", "alembic")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
-        logger.setLevel(logging.WARNING)
+        logger.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
