@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gvr_core.books import DepthBook, PatchBook
 from gvr_core.cameras import Camera
 from gvr_core.localize import depths_at
-from gvr_core.robust.surfaces import middle_of, surface_pixels
+from gvr_core.robust.surfaces import inner_depths, middle_of, pixels_near
 from gvr_core.run_lengths import cropped, patch_positions
 from gvr_core.scene import View
 
@@ -130,10 +130,13 @@ def place_candidate(
     height, width = pixels.shape
     depth = depths.depth(view, "median")[y0 : y0 + height, x0 : x0 + width]
     depth = np.ascontiguousarray(depth, np.float32)
-    inner = eroded(pixels)
-    found = surface_pixels(pixels, inner, depth, MAD_LIMIT, DEPTH_SLACK, SAMPLES)
-    if len(found) == 0:
+    core = inner_depths(pixels, eroded(pixels), depth)
+    if len(core) == 0:
         return None
+    middle = np.median(core)
+    deviation = 1.4826 * float(np.median(np.abs(core - middle)))
+    limit = max(MAD_LIMIT * deviation, DEPTH_SLACK * float(middle))
+    found = pixels_near(pixels, depth, middle, np.float32(limit), SAMPLES)
     xy = found[:, ::-1] + np.array([x0 + 0.5, y0 + 0.5])
     surface = camera.unproject(xy, depth[found[:, 0], found[:, 1]])
     nearest, radius = middle_of(surface, RADIUS_PERCENTILE)
