@@ -22,6 +22,7 @@ from gvr_core.models.registry import ModelConfig
 from reports import same_record
 from reports.environment import describe_environment
 from reports.record import Environment, Result, SceneResult
+from reports.result_check import ResultError
 from reports.result_io import new_run_id, write_result
 from tasks.store import Store
 
@@ -99,7 +100,11 @@ def comparable(folder: Path) -> dict[str, Any]:
         for path in folder.rglob("*")
         if path.is_file() and path.name not in ("result.json", "SHA256SUMS")
     }
-    return {"files": files, "result": same_record.comparable(folder)}
+    try:
+        record = same_record.comparable(folder)
+    except ResultError as error:  # half of a result, which equals none
+        record = {"not a result": str(error)}
+    return {"files": files, "result": record}
 
 
 def difference(one: dict[str, Any], other: dict[str, Any]) -> str | None:
