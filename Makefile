@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: help bench test test-slow lint format perf clean
+.PHONY: help bench test test-slow lint format perf reliability clean
 
 help: ## List the commands
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -26,8 +26,13 @@ format: $(READY) ## Put style right
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-perf: $(READY) ## Print the renderer's speed
-	$(BIN)/python benchmarks/render_speed.py
+perf: $(READY) ## Measure speed, and write docs/performance.md (about 15 minutes)
+	$(BIN)/python benchmarks/perf.py
+
+reliability: $(READY) ## Make faults on purpose, and write docs/reliability.md (about an hour)
+	$(BIN)/python benchmarks/reliability.py --into docs/reliability.md
+	$(BIN)/python benchmarks/fuzz.py --target all --into docs/reliability.md
+	$(BIN)/python benchmarks/big_scene.py --into docs/reliability.md
 
 clean: ## Remove the environment; results, data and cache under .gvr stay
 	rm -rf .venv

@@ -12,7 +12,6 @@ import pytest
 
 ARGUMENTS = [
     "--no-sandbox",
-    "--disable-gpu",
     "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",
@@ -53,7 +52,8 @@ Open = Callable[..., Opened]
 
 
 @pytest.fixture(scope="session")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator:
+def chromium() -> Iterator:
+    """Starts the Chromium that is installed, with arguments of its own."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     found = (
         os.environ.get("GVR_CHROMIUM")
@@ -63,9 +63,18 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator:
     if found is None:
         pytest.skip("no chromium on the path (set GVR_CHROMIUM)")
     with sync_api.sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=found, args=ARGUMENTS)
-        yield launched
-        launched.close()
+
+        def start(*more: str):
+            return playwright.chromium.launch(executable_path=found, args=[*ARGUMENTS, *more])
+
+        yield start
+
+
+@pytest.fixture(scope="session")
+def browser(chromium) -> Iterator:
+    launched = chromium("--disable-gpu")
+    yield launched
+    launched.close()
 
 
 @pytest.fixture

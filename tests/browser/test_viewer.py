@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,24 +16,12 @@ from gvr_core.rendering import get_renderer
 from gvr_core.splat_io import read_splat
 
 pytest.importorskip("viser", reason="viser is not installed")
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-CHROMIUM = Path("/usr/bin/chromium")
+expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no browser at {CHROMIUM}"),
-]
+pytestmark = pytest.mark.slow
 
-ARGUMENTS = [
-    "--no-sandbox",
-    "--use-angle=swiftshader",  # draws WebGL without a graphics card
-    "--enable-unsafe-swiftshader",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
+WEBGL = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+"""Draws WebGL without a graphics card."""
 VISERS_OWN = "THREE.BufferGeometry.computeBoundingSphere(): Computed radius is NaN."
 """viser 1.1 says this of any splats: the corners of their squares are made on the card."""
 
@@ -52,7 +39,7 @@ def session() -> ViewSession:
     return ViewSession(data, method, method.prepare(scene))
 
 
-class Browser:
+class ViewerPage:
     """A page of the viewer, and all that went wrong on it."""
 
     def __init__(self, page, url: str) -> None:
@@ -79,8 +66,8 @@ class Browser:
         field.fill(text)
         field.press("Enter")
         said = self.page.locator("#gvr-status")
-        playwright.expect(said).not_to_contain_text("Type what", timeout=60_000)
-        playwright.expect(said).not_to_contain_text("Looking", timeout=60_000)
+        expect(said).not_to_contain_text("Type what", timeout=60_000)
+        expect(said).not_to_contain_text("Looking", timeout=60_000)
         return said.inner_text()
 
     def count(self) -> int:
@@ -89,37 +76,36 @@ class Browser:
 
 
 @pytest.fixture
-def browser(session: ViewSession) -> Iterator[Browser]:
+def viewer(session: ViewSession, chromium) -> Iterator[ViewerPage]:
     from flows.viewer import Viewer
 
-    viewer = Viewer(session, port=0)
+    served = Viewer(session, port=0)
+    launched = chromium(*WEBGL)
     try:
-        with playwright.sync_playwright() as driver:
-            chromium = driver.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
-            yield Browser(chromium.new_page(viewport={"width": 1280, "height": 800}), viewer.url)
-            chromium.close()
+        yield ViewerPage(launched.new_page(viewport={"width": 1280, "height": 800}), served.url)
     finally:
-        viewer.stop()
+        launched.close()
+        served.stop()
 
 
-def test_a_query_is_typed_and_its_target_dyed(browser: Browser, session: ViewSession) -> None:
-    browser.ask("a red box")
-    red = browser.count()
+def test_a_query_is_typed_and_its_target_dyed(viewer: ViewerPage, session: ViewSession) -> None:
+    viewer.ask("a red box")
+    red = viewer.count()
     assert red == int(session.ask("a red box").grounding.flags.sum()) > 0
-    browser.page.locator("form input.mantine-TextInput-input").fill("a blue box")
-    browser.page.get_by_role("button", name="Find").click()
-    playwright.expect(browser.page.locator("#gvr-count")).not_to_have_text(f"{red:,}")
-    assert browser.count() == int(session.ask("a blue box").grounding.flags.sum())
+    viewer.page.locator("form input.mantine-TextInput-input").fill("a blue box")
+    viewer.page.get_by_role("button", name="Find").click()
+    expect(viewer.page.locator("#gvr-count")).not_to_have_text(f"{red:,}")
+    assert viewer.count() == int(session.ask("a blue box").grounding.flags.sum())
     for name in ("Cameras", "Votes", "Virtual cameras"):
-        browser.page.get_by_label(name, exact=True).check()
-    assert browser.wrong == []
-    assert browser.outside == []
+        viewer.page.get_by_label(name, exact=True).check()
+    assert viewer.wrong == []
+    assert viewer.outside == []
 
 
-def test_what_is_found_can_be_saved(browser: Browser, session: ViewSession, tmp_path) -> None:
-    browser.ask("a red box")
-    with browser.page.expect_download(timeout=60_000) as download:
-        browser.page.get_by_role("button", name="Save", exact=True).click()
+def test_what_is_found_can_be_saved(viewer: ViewerPage, session: ViewSession, tmp_path) -> None:
+    viewer.ask("a red box")
+    with viewer.page.expect_download(timeout=60_000) as download:
+        viewer.page.get_by_role("button", name="Save", exact=True).click()
     assert download.value.suggested_filename == "target.ply"
     path = tmp_path / "target.ply"
     download.value.save_as(path)
@@ -128,13 +114,13 @@ def test_what_is_found_can_be_saved(browser: Browser, session: ViewSession, tmp_
     np.testing.assert_array_equal(saved.means, session.data.scene.gaussians.means[flags])
 
 
-def test_what_cannot_be_asked_is_said(browser: Browser) -> None:
-    said = browser.ask("x" * 401)
+def test_what_cannot_be_asked_is_said(viewer: ViewerPage) -> None:
+    said = viewer.ask("x" * 401)
     assert "401 characters" in said
     assert "1 to 400" in said
-    assert browser.page.locator("#gvr-count").count() == 0
+    assert viewer.page.locator("#gvr-count").count() == 0
 
 
-def test_words_are_shown_as_words(browser: Browser) -> None:
-    browser.ask("<img src=x onerror=console.error(1)>")
-    assert browser.wrong == []
+def test_words_are_shown_as_words(viewer: ViewerPage) -> None:
+    viewer.ask("<img src=x onerror=console.error(1)>")
+    assert viewer.wrong == []
