@@ -39,7 +39,8 @@ from gvr_core.robust.config import RobustConfig
 from gvr_core.scene import Query, Scene, View
 from reports.document import replace_block
 from reports.environment import describe_environment
-from tasks.stages import SceneJob, run_stages
+from tasks.scene_job import SceneJob
+from tasks.stages import run_stages
 from tasks.store import Store
 
 BLOCK = "memory"

@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 from datasets.registry import get_dataset
-from flows.scene import make_job
+from flows.scene_setup import make_job
 from gvr_core.books import PatchBook, ViewBook
 from gvr_core.methods import MethodConfig
 from reports.document import replace_block

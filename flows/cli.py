@@ -92,6 +92,10 @@ def run(
         str | None, typer.Option(help="serial, threads, processes or dask; else the suite's.")
     ] = None,
     workers: Annotated[int | None, typer.Option(help="How many, instead of the suite's.")] = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Only list what is cached, and what would be computed."),
+    ] = False,
     quiet: QuietOption = False,
 ) -> None:
     """Run a suite: every method on every scene, with cached stages, into a result and MLflow."""
@@ -109,6 +113,9 @@ def run(
         results=str(results or results_root()),
         tracking_uri=None if no_mlflow else commands.tracking_uri(tracking_uri),
     )
+    if dry_run:
+        run_commands.dry_run(job)
+        return
     raise typer.Exit(run_commands.run(job, progress=not quiet))
 
 

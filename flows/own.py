@@ -13,7 +13,7 @@ from prefect import flow
 
 from datasets.base import SceneData
 from flows.progress import Progress
-from flows.scene import make_job
+from flows.scene_setup import make_job
 from gvr_core.atomic import atomic_write, file_digest
 from gvr_core.errors import ConfigError, SplatFormatError
 from gvr_core.exports import RED, RGB, write_dyed, write_indices, write_target, write_without
@@ -21,7 +21,8 @@ from gvr_core.methods import MethodConfig
 from gvr_core.models.registry import ModelConfig
 from gvr_core.scene import Query
 from tasks.groundings import Answer, unpack_answers
-from tasks.stages import SceneJob, run_stages
+from tasks.scene_job import SceneJob
+from tasks.stages import run_stages
 from tasks.store import Store
 
 SUMMARY = "answers.json"

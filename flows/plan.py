@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from flows.scene import load_scene, make_job
+from flows.scene_setup import load_scene, make_job
 from flows.suite import SuiteConfig, resolve_scenes
 from tasks.stages import stages_in_store
 from tasks.store import Store

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from flows.commands import console, print_tables
 from flows.job import Job, exit_code, fill_mlflow, not_filled, prepare
@@ -42,6 +44,21 @@ def run(job: Job, progress: bool) -> int:
     for failure in outcome.failed:
         warnings.print(f"failed: {failure}", style="red", markup=False, soft_wrap=True)
     return exit_code(outcome)
+
+
+def dry_run(job: Job) -> None:
+    """``gvr run --dry-run``: what is in the store, and what a run would compute."""
+    from flows.plan import plan
+
+    lines = plan(prepare(job), Store(job.store))
+    table = Table("scene", "method", "cached", "to compute", box=None)
+    for line in lines:
+        missing = ", ".join(line.to_compute) or "nothing"
+        cached = f"{len(line.stages) - len(line.to_compute)} of {len(line.stages)}"
+        table.add_row(Text(f"{line.dataset}/{line.scene}"), Text(line.line), cached, missing)
+    console.print(table)
+    to_do = sum(len(line.to_compute) for line in lines)
+    console.print(f"{to_do} stages to compute; lines that share a stage compute it once.")
 
 
 def schedule(job: Job, when: When) -> None:

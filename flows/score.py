@@ -8,7 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from datasets.base import SceneData
-from flows.scene import load_scene, result_rows
+from flows.scene import result_rows
+from flows.scene_setup import load_scene
 from flows.suite import SuiteConfig
 from gvr_core.errors import ConfigError
 from gvr_core.protocols import protocol

@@ -10,7 +10,7 @@ from pathlib import Path
 from datasets.base import SceneData
 from datasets.own import own_scene
 from flows.progress import Progress
-from flows.scene import load_scene, make_job
+from flows.scene_setup import load_scene, make_job
 from flows.suite import DatasetChoice
 from gvr_core.books import Books
 from gvr_core.errors import ConfigError

@@ -15,7 +15,8 @@ from native_scene import written
 from faults import children
 from faults.children import LineFailed
 from flows.benchmark import stored_pictures
-from flows.scene import load_scene, run_line
+from flows.scene import run_line
+from flows.scene_setup import load_scene
 from flows.suite import DatasetChoice, SuiteConfig
 from gvr_core.methods import MethodConfig
 from gvr_core.models.registry import ModelConfig

@@ -70,7 +70,9 @@ def oracles(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """
     scene, labels = two_boxes()
     known = OracleWorld(scene.gaussians, labels, OBJECTS, MEANINGS)
-    monkeypatch.setattr("flows.scene.build_models", lambda config, world: oracle_models(known))
+    monkeypatch.setattr(
+        "flows.scene_setup.build_models", lambda config, world: oracle_models(known)
+    )
     yield
 
 

@@ -136,7 +136,7 @@ class DimmedRenderer:
 
 def test_another_renderer_recomputes_everything(bench, suite, monkeypatch) -> None:
     bench(suite)
-    monkeypatch.setattr("flows.scene.get_renderer", lambda name: DimmedRenderer())
+    monkeypatch.setattr("flows.scene_setup.get_renderer", lambda name: DimmedRenderer())
     assert set(states(bench(suite)).values()) == {"computed"}
 
 

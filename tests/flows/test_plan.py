@@ -40,3 +40,18 @@ def test_what_builds_on_a_missing_stage_is_missing_too(ran, suite) -> None:
         path.unlink()
     (line,) = plan(suite, ran)
     assert line.to_compute == STAGES[2:]
+
+
+def test_the_command_lists_without_a_prefect_or_a_store(
+    suite, two_boxes_folder, tmp_path, home, gvr
+) -> None:
+    path = tmp_path / "small.toml"
+    path.write_text(
+        f'name = "small"\n[[datasets]]\nname = "folder:{two_boxes_folder}"\n'
+        '[models]\nsegmenter = "oracle"\nencoder = "oracle"\ntext_segmenter = "oracle"\n'
+    )
+    code, said, _ = gvr("run", str(path), "--dry-run")
+    assert code == 0
+    assert "0 of 8" in said
+    assert "8 stages to compute" in said
+    assert not home.exists()

@@ -19,7 +19,8 @@ from gvr_core.methods import MethodConfig, Toolbox, build_method
 from gvr_core.models.oracle import OracleWorld, oracle_models
 from gvr_core.rendering import get_renderer
 from reports.evidence import SceneEvidence, outline_path, thumbnail_size
-from tasks.stages import SceneJob, run_stages
+from tasks.scene_job import SceneJob
+from tasks.stages import run_stages
 from tasks.store import Store
 
 

@@ -22,8 +22,10 @@ from gvr_core.models.random_encoder import RandomEncoder
 from gvr_core.rendering import get_renderer
 from gvr_core.robust.calibration import CALIBRATED, Calibration
 from gvr_core.robust.config import RobustConfig, RobustIndex, RobustLocate
+from tasks.computing import compute_depth
 from tasks.groundings import unpack_answers
-from tasks.stages import PREPARATION, STAGES, SceneJob, compute_depth, run_stages
+from tasks.scene_job import SceneJob
+from tasks.stages import PREPARATION, STAGES, run_stages
 from tasks.store import Store
 
 NAMES = tuple(planned.stage.name for planned in STAGES)
