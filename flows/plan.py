@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from flows.scene_setup import load_scene, make_job
+from flows.scene_setup import line_job, load_scene
 from flows.suite import SuiteConfig, resolve_scenes
 from tasks.stages import stages_in_store
 from tasks.store import Store
@@ -48,7 +48,7 @@ def plan(suite: SuiteConfig, store: Store) -> list[PlannedLine]:
     for dataset, scene in resolve_scenes(suite.datasets):
         data = load_scene(choices[dataset], scene, suite.exclude_eval_views)
         for line in suite.lines():
-            job = make_job(data, line.method, store, line.models, suite.renderer, suite.limit)
+            job = line_job(data, suite, line, store)
             stages: dict[str, State] = {
                 name: "cached" if found else "to compute"
                 for name, found in stages_in_store(job).items()

@@ -14,7 +14,7 @@ from datasets.base import SceneData
 from flows.lines import Line, file_name
 from flows.progress import Progress
 from flows.scene_outcome import Listener, Notes, SceneOutcome, failed_outcome, identity
-from flows.scene_setup import load_scene, make_job
+from flows.scene_setup import line_job, load_scene
 from flows.suite import SuiteConfig
 from gvr_core.scene import Query
 from reports.record import Damage, QueryOutcome, Row, SceneResult, StageTiming
@@ -115,17 +115,7 @@ def run_line(
         The outcome; a failure is an outcome too, with the error's text.
     """
     try:
-        job = make_job(
-            data,
-            line.method,
-            store,
-            line.models,
-            suite.renderer,
-            suite.limit,
-            progress,
-            line.name,
-            suite.evidence and not line.is_variant,
-        )
+        job = line_job(data, suite, line, store, progress)
         runs = run_stages(job)
         return _outcome(line, job, runs)
     except Exception as error:

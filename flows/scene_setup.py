@@ -9,8 +9,9 @@ from functools import partial
 from datasets.base import SceneData
 from datasets.leakage import without_test_views
 from datasets.registry import get_dataset
+from flows.lines import Line
 from flows.progress import Progress
-from flows.suite import DatasetChoice
+from flows.suite import DatasetChoice, SuiteConfig
 from gvr_core.methods import MethodConfig, Toolbox, check_method
 from gvr_core.models.oracle import OracleWorld
 from gvr_core.models.registry import ModelConfig, build_models, needs_world
@@ -60,6 +61,39 @@ def make_job(
     bars = progress or Progress(shown=False)
     track = partial(bars.track, label=label)
     return SceneJob(store, data, data.queries[:limit], method, tools, track, evidence)
+
+
+def line_job(
+    data: SceneData,
+    suite: SuiteConfig,
+    line: Line,
+    store: Store,
+    progress: Progress | None = None,
+) -> SceneJob:
+    """One line of a suite on one scene.
+
+    Args:
+        data: The scene.
+        suite: The suite.
+        line: The method and its models.
+        store: Where results of stages lie.
+        progress: Shows progress bars; None shows none.
+
+    Raises:
+        ConfigError: as :func:`make_job`.
+        ModelError: as :func:`make_job`.
+    """
+    return make_job(
+        data,
+        line.method,
+        store,
+        line.models,
+        suite.renderer,
+        suite.limit,
+        progress,
+        line.name,
+        suite.evidence and not line.is_variant,  # variants are dozens, and nearly equal
+    )
 
 
 def oracle_world(data: SceneData, renderer: str = "numba") -> OracleWorld | None:

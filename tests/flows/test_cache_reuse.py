@@ -195,14 +195,14 @@ def test_oracle_models_find_the_boxes_through_the_whole_flow(bench, suite) -> No
 def test_a_method_that_fails_leaves_the_others_be(bench, suite, monkeypatch) -> None:
     from flows import scene as scene_module
 
-    real = scene_module.make_job
+    real = scene_module.line_job
 
-    def breaks(data, method, *others):
-        if method.shown_name == "broken":
+    def breaks(data, suite, line, *others):
+        if line.name == "broken":
             raise RuntimeError("out of luck")
-        return real(data, method, *others)
+        return real(data, suite, line, *others)
 
-    monkeypatch.setattr(scene_module, "make_job", breaks)
+    monkeypatch.setattr(scene_module, "line_job", breaks)
     methods = (MethodConfig(label="broken"), MethodConfig())
     run = RunConfig(retry_delay_seconds=0)
     outcome = bench(suite.model_copy(update={"methods": methods, "run": run}))

@@ -50,6 +50,6 @@ def test_a_flipped_digit_in_a_record_is_found(tmp_path: Path) -> None:
     assert store.lookup("demo", KEY) is None and store.counts.unreadable == 1
     assert not store.verify().sound
     before_there_were_sums = json.loads(sound)
-    del before_there_were_sums["sum"]
+    del before_there_were_sums["checksum"]
     path.write_text(json.dumps(before_there_were_sums))
     assert store.lookup("demo", KEY) is not None
