@@ -25,7 +25,7 @@ def moments(count: int, seconds: float, rng: np.random.Generator) -> list[float]
     return [float(moment) for moment in rng.permutation(chosen)]
 
 
-def run_seconds(line: CommandLine, times: int = 2) -> float:
+def run_seconds(line: CommandLine, times: int) -> float:
     """Median wall seconds of an undisturbed run in a forked child."""
     taken = []
     for _ in range(times):

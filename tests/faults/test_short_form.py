@@ -58,4 +58,4 @@ def test_nothing_is_lost(quick: dict[str, list[dict[str, Any]]], part: str) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize("part", SLOW)
 def test_nothing_is_lost_with_real_servers(part: str) -> None:
-    assert_survived(tried((part,), "--kills", "3")[part])
+    assert_survived(tried((part,), "--kills", "2")[part])
