@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from small_queries import MEANINGS, QUERIES
 from small_scene import OBJECTS, UP, two_boxes
 
 from datasets.making import take_pictures
@@ -16,15 +17,6 @@ from gvr_core.methods import MethodConfig
 from gvr_core.models.oracle import OracleWorld, oracle_models
 from gvr_core.models.registry import ModelConfig
 from gvr_core.rendering import get_renderer
-from gvr_core.scene import Query
-
-QUERIES = (
-    Query(id="red-1", text="a red box", target=OBJECTS[0]),
-    Query(id="red-2", text="the crimson cube", target=OBJECTS[0]),
-    Query(id="blue-1", text="a blue box", target=OBJECTS[1]),
-    Query(id="absent-1", text="an elephant", absent=True),
-)
-MEANINGS = {query.text: query.target for query in QUERIES if query.target}
 
 
 @pytest.fixture(scope="session")

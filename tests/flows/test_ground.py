@@ -9,9 +9,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import MEANINGS
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from small_queries import MEANINGS
 from small_scene import OBJECTS, two_boxes
 from splat_files import save_vertex, vertex_of
 
