@@ -16,6 +16,7 @@ from typing import Annotated
 
 import growth
 import overhead
+import query_speed
 import torch
 import typer
 from hot_spots import HotSpot, profile
@@ -59,6 +60,8 @@ class Plan:
     grown_views: tuple[int, ...] = (10, 30, 100, 300)
     grown_queries: tuple[int, ...] = (1, 5, 20, 100, 500)
     query_repeats: int = 3
+    asked: query_speed.Size = field(default_factory=query_speed.Size)
+    """The scene on which queries are timed step by step."""
     work: overhead.Work = field(default_factory=overhead.Work)
     profiled: int = 3
     """Queries of the profile on a scene with the onboard models; 0 profiles the room instead."""
@@ -78,6 +81,7 @@ QUICK = Plan(
     grown_views=(3, 6, 12),
     grown_queries=(1, 5, 20),
     query_repeats=1,
+    asked=query_speed.Size(gaussians=20_000, views=20, patches=20, queries=5),
     work=overhead.QUICK,
     profiled=0,
     quick=True,
@@ -93,6 +97,7 @@ class Measured:
     twins: TwinTimes
     methods: list[growth.MethodTimes]
     grown: list[growth.Growth]
+    asked: list[query_speed.QuerySpeed]
     overhead: overhead.Overhead
     profiled: str
     """What was profiled."""
@@ -133,16 +138,29 @@ def measure(plan: Plan, say: Console) -> Measured:
     step(f"growth with views, to {max(plan.grown_views)}")
     grown += growth.with_views("gvr-paper", plan.grown_views, plan.gaussians // 2, plan.repeats)
     step(f"growth with queries, to {max(plan.grown_queries)}")
-    asked = (plan.grown_queries, plan.gaussians // 2, few, plan.query_repeats)
-    grown.append(growth.with_queries("gvr-paper", *asked))
+    room = (plan.gaussians // 2, few, plan.query_repeats)
+    grown.append(growth.with_queries("gvr-paper", plan.grown_queries, *room))
+    step(f"queries step by step, {plan.asked.gaussians:,} Gaussians, {plan.asked.views} views")
+    asked = query_speed.speeds(plan.asked, query_speed.METHODS)
     step("flow and plain loop")
     found = overhead.measure(plan.work, 1 if plan.quick else 3, step)
     step("profile")
     what, work = _work_to_profile(plan)
     seconds, hot = profile(work)
-    total = time.perf_counter() - start
     step("done")
-    return Measured(plan, renders, twins, methods, grown, found, what, seconds, hot, total)
+    return Measured(
+        plan=plan,
+        renders=renders,
+        twins=twins,
+        methods=methods,
+        grown=grown,
+        asked=asked,
+        overhead=found,
+        profiled=what,
+        profile_seconds=seconds,
+        hot=hot,
+        seconds=time.perf_counter() - start,
+    )
 
 
 def _work_to_profile(plan: Plan):

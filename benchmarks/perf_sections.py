@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import psutil
+import query_speed
 from growth import HEIGHT, WIDTH, Growth
 from measuring import Bar, Spread, markdown
 from overhead import tables
+from query_speed import BAR_SECONDS
 from render_speed import BLEND_BAR, BLEND_COUNT, STAGES, TORCH_BAR, RenderTimes, linear_fit
 
 from reports.environment import describe_environment
@@ -67,6 +69,14 @@ def all_bars(found: Measured) -> list[Bar]:
         Bar(
             f"blending against its arithmetic, at most {BLEND_COUNT:,} Gaussians (worst: {place})",
             worst.ratio, BLEND_BAR, "times as long",
+        ),
+        *(
+            Bar(
+                f"a query of {speed.method}, {speed.gaussians:,} Gaussians, {speed.views} views of "
+                f"{speed.picture[0]}x{speed.picture[1]}, without the models",
+                MS * speed.total.median, BAR_SECONDS, "s",
+            )
+            for speed in found.asked
         ),
         *found.overhead.bars,
     ]  # fmt: skip
@@ -171,6 +181,11 @@ def _explained(growth: Growth) -> str:
     return f"{growth.fit.explained:.3f}" if len(growth.points) > 2 else "–"
 
 
+def queries(found: Measured) -> str:
+    """Queries step by step, alone and together."""
+    return query_speed.markdown(found.asked)
+
+
 def overhead(found: Measured) -> str:
     """The flow against the plain loop, and its stages."""
     seen = found.overhead
@@ -212,6 +227,7 @@ SECTIONS = {
     "perf-render": render,
     "perf-methods": methods,
     "perf-growth": grown,
+    "perf-queries": queries,
     "perf-overhead": overhead,
     "perf-next": next_places,
 }

@@ -13,7 +13,7 @@ import argparse
 import statistics
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 from query_scene import QueryScene, query_scene
@@ -27,12 +27,23 @@ from gvr_core.stopwatch import recorded
 from reports.document import replace_block
 from reports.environment import describe_environment
 
-BLOCK = "query-speed"
+BLOCK = "perf-queries"
 """Name of the block of the page that ``--into`` rewrites."""
 BAR_SECONDS = 0.5
 """A query alone, without the models, at most."""
 METHODS = ("gvr-paper", "gvr-robust")
 MODELS, REST = "models", "the rest"
+
+
+@dataclass(frozen=True)
+class Size:
+    """The scene that is asked."""
+
+    gaussians: int = 200_000
+    views: int = 300
+    patches: int = 100
+    """Of each view."""
+    queries: int = 50
 
 
 @dataclass(frozen=True)
@@ -67,6 +78,12 @@ class QuerySpeed:
     """Milliseconds for each of all the queries asked together, without the models."""
     together_processor: float
     """Their processor time, each, milliseconds."""
+
+
+def speeds(size: Size, methods: Sequence[str]) -> list[QuerySpeed]:
+    """Ask each method all queries of a scene of that size."""
+    made = query_scene(size.gaussians, size.views, size.patches, queries=size.queries)
+    return [measure(made, name) for name in methods]
 
 
 def measure(made: QueryScene, name: str, warm_up: int = 1) -> QuerySpeed:
@@ -181,17 +198,13 @@ def records(speeds: Sequence[QuerySpeed]) -> list[dict[str, object]]:
 def main() -> None:
     """Measure, print, and put the tables into a page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--gaussians", type=int, default=200_000)
-    parser.add_argument("--views", type=int, default=300)
-    parser.add_argument("--patches", type=int, default=100, help="of each view")
-    parser.add_argument("--queries", type=int, default=50)
+    for field in fields(Size):
+        parser.add_argument(f"--{field.name}", type=int, default=field.default)
     parser.add_argument("--methods", nargs="+", default=list(METHODS))
     parser.add_argument("--into", type=Path, help=f"page with a block <!-- {BLOCK} -->")
     arguments = parser.parse_args()
-    made = query_scene(
-        arguments.gaussians, arguments.views, arguments.patches, queries=arguments.queries
-    )
-    text = markdown([measure(made, name) for name in arguments.methods])
+    size = Size(*(getattr(arguments, field.name) for field in fields(Size)))
+    text = markdown(speeds(size, arguments.methods))
     Console(soft_wrap=True).print(text, markup=False, highlight=False)
     if arguments.into is not None:
         replace_block(arguments.into, BLOCK, text)

@@ -15,6 +15,7 @@ from overhead import FlowRun, Overhead, Work
 from perf import PAGE, QUICK, Measured, Plan, check_page, write
 from perf_sections import SECTIONS, all_bars, grown
 from PIL import Image
+from query_speed import QuerySpeed, StepTime
 from render_speed import RenderTimes, TwinTimes
 from typer.testing import CliRunner
 
@@ -40,12 +41,17 @@ def sample() -> Measured:
     flow = FlowRun(70.0, 90.0, {"MLflow": 0.7}, {"render": 7.0})
     points = tuple((n, Spread.of([0.01 * n])) for n in (10, 30, 100))
     grown = [Growth("gvr-paper: prepare", of, points) for of in ("Gaussians", "views", "queries")]
+    total = StepTime("total", 100.0, 90.0, 120.0)
+    asked = QuerySpeed(
+        "gvr-paper", 200_000, 300, 30_000, (640, 480), 50, 0.1, (total,), total, 150.0, 80.0, 120.0
+    )
     return Measured(
         plan=Plan(),
         renders=renders,
         twins=TwinTimes(0.05, {"torch-reference/1/float32": 4.0}),
         methods=[MethodTimes(name, spread, spread) for name in ("gvr-paper", "lift")],
         grown=grown,
+        asked=[asked],
         overhead=Overhead(Work(), (60.0,), (80.0,), (flow,), 40),
         profiled="something",
         profile_seconds=10.0,
@@ -76,7 +82,9 @@ def test_a_run_fills_the_page_and_draws_its_picture(tmp_path: Path) -> None:
     write(sample(), page)
     bars = read_block(page, "perf-bars")
     assert "| 80 times as fast | >= 20 times as fast | met |" in bars
-    assert bars.count("| met |") == 4
+    assert bars.count("| met |") == 5
+    assert "| 0.1 s | <= 0.5 s | met |" in bars
+    assert "Together is 0.80 of alone" in read_block(page, "perf-queries")
     assert "1. `gvr_core.f0`, 5.0 s, 50 %; 2. `gvr_core.f1`" in read_block(page, "perf-next")
     assert "all else | 2.50 | 25.0 %" in read_block(page, "perf-next")
     assert "| gvr-paper | 0.50 (0.40-0.90) | 1.00 |" in read_block(page, "perf-methods")
