@@ -104,7 +104,7 @@ class Viewer:
         with gui.add_folder("Save"):
             kind = gui.add_dropdown("PLY", tuple(EXPORTS), hint="What the file holds")
             save = gui.add_button("Save")
-        find.on_click(lambda event: form.submit())
+        find.on_click(lambda event: self.ask(text.value))
         form.on_submit(lambda event: self.ask(text.value))
         self._shown.on_update(lambda event: self._drawing.show_target(self._shown.value))
         for box in self._boxes.values():

@@ -94,7 +94,7 @@ def test_a_query_is_typed_and_its_target_dyed(viewer: ViewerPage, session: ViewS
     assert red == int(session.ask("a red box").grounding.flags.sum()) > 0
     viewer.page.locator("form input.mantine-TextInput-input").fill("a blue box")
     viewer.page.get_by_role("button", name="Find").click()
-    expect(viewer.page.locator("#gvr-count")).not_to_have_text(f"{red:,}")
+    expect(viewer.page.locator("#gvr-count")).not_to_have_text(f"{red:,}", timeout=60_000)
     assert viewer.count() == int(session.ask("a blue box").grounding.flags.sum())
     for name in ("Cameras", "Votes", "Virtual cameras"):
         viewer.page.get_by_label(name, exact=True).check()
