@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: help bench test test-slow lint format perf reliability clean
+.PHONY: help bench test test-slow lint format perf reliability scale clean
 
 help: ## List the commands
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -33,6 +33,10 @@ reliability: $(READY) ## Make faults on purpose, and write docs/reliability.md (
 	$(BIN)/python benchmarks/reliability.py --into docs/reliability.md
 	$(BIN)/python benchmarks/fuzz.py --target all --into docs/reliability.md
 	$(BIN)/python benchmarks/big_scene.py --into docs/reliability.md
+
+scale: $(READY) ## Measure runners and a shared store, and write docs/scale.md and docs/sharing.md
+	$(BIN)/python benchmarks/scale_out.py --into docs/scale.md
+	$(BIN)/python benchmarks/remote_store.py --into docs/sharing.md
 
 clean: ## Remove the environment; results, data and cache under .gvr stay
 	rm -rf .venv
