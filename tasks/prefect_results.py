@@ -19,6 +19,8 @@ from gvr_core.untrusted import parse_json, read_regular
 from tasks.files import write_atomically
 from tasks.records import DIGEST, STAGE_NAME
 
+log = logging.getLogger(__name__)
+
 RESULT_SERIALIZER = JSONSerializer(object_encoder=None, object_decoder=None)
 """Plain ``json``: without hooks that import classes named in the file."""
 
@@ -67,13 +69,19 @@ class StageResultStorage(WritableFileSystem):
     def write_path(self, path: str, content: bytes, **_: Any) -> None:  # type: ignore[override]
         """Write the record under a key, whole or not at all.
 
+        A disk that does not take it is no error: the store's own record decides, and this one is
+        written again by the next run that wants it.
+
         Raises:
             ValueError: The record is not of the form that could be read again.
         """
         problem = refuse(content, path)
         if problem is not None:
             raise ValueError(f"result record {path} cannot be stored: {problem}")
-        write_atomically(self._file(path), content, Path(self.root) / "tmp")
+        try:
+            write_atomically(self._file(path), content, Path(self.root) / "tmp")
+        except OSError as error:
+            log.warning("Prefect's record of %s is not kept: %s", path[:40], error)
 
     async def awrite_path(self, path: str, content: bytes) -> None:
         """As `write_path`."""

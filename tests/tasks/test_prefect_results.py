@@ -168,3 +168,21 @@ def evil(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delitem(sys.modules, "evil", raising=False)
     yield marker
     sys.modules.pop("evil", None)
+
+
+def test_a_record_that_the_disk_does_not_take_is_said_and_no_error(
+    prefect_server: PrefectRuntime, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    store = Store(tmp_path / "store")
+    store.root.mkdir()
+    (store.root / "prefect-results").write_text("in the way")
+
+    @flow
+    def once() -> str:
+        return run_stage(DEMO, store, {}, {}).state
+
+    assert once() == "Completed"
+    assert once() == "Cached"
+    said = [line for line in caplog.messages if "is not kept" in line]
+    assert len(said) == 2
+    assert not any("Traceback" in (record.exc_text or "") for record in caplog.records)
