@@ -8,6 +8,7 @@ of the one form that it writes; anything else counts as not there, and is comput
 
 from __future__ import annotations
 
+import logging
 import re
 from pathlib import Path
 from typing import Any, ClassVar
