@@ -86,10 +86,11 @@ def flow(suite: Path, out: Path, models: str) -> None:
     watch = Stopwatch()
     imports = watch.around("imports", _import_all)
     imports()
-    import flows.benchmark
-    import flows.commands
+    import flows.run_commands
     import flows.scene
     import reports.mlflow_sink
+    import reports.results_place
+    import tasks.computing
     import tasks.objects
     import tasks.prefect_runtime
     import tasks.stages
@@ -102,10 +103,10 @@ def flow(suite: Path, out: Path, models: str) -> None:
         "store: writing, hashing, syncing", tasks.objects.ObjectStore, "_adopt", "put_arrays"
     )
     watch.watch("store: reading, hashing", tasks.objects.ObjectStore, "path", "load_arrays")
-    watch.watch("pictures", tasks.stages, "draw_query")
-    watch.watch("result record", flows.benchmark, "write_result")
-    watch.watch("tables", flows.commands, "print_tables")
-    watch.watch("MLflow", flows.commands, "_fill_mlflow")
+    watch.watch("pictures", tasks.computing, "draw_query")
+    watch.watch("result record", reports.results_place.ResultsPlace, "write")
+    watch.watch("tables", flows.run_commands, "print_tables")
+    watch.watch("MLflow", flows.run_commands, "fill_mlflow")
     synced = kept(reports.mlflow_sink, "sync")
     names = [planned.stage.name for planned in tasks.stages.STAGES]
     for planned in tasks.stages.STAGES:
