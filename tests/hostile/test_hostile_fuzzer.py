@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_it_finds_what_is_broken_on_purpose(tmp_path: Path) -> None:
-    run = fuzz("broken", 3000, 20, 1, tmp_path)
+    run = fuzz("broken", 3000, 60, 1, tmp_path)
     assert run.findings == 2
     kinds = {path.stem.split("-")[1] for path in (tmp_path / "findings").glob("*.bin")}
     assert kinds == {"KeyError", "memory"}
@@ -26,7 +26,7 @@ def test_it_finds_what_is_broken_on_purpose(tmp_path: Path) -> None:
     "name", ["ply", "transforms-json", "lerf-labels", "stage-record", "prefect-result"]
 )
 def test_it_finds_nothing_else(tmp_path: Path, name: str) -> None:
-    run = fuzz(name, 2000, 20, 1, tmp_path)
+    run = fuzz(name, 2000, 60, 1, tmp_path)
     assert run.findings == 0, [
         path.read_text() for path in (tmp_path / "findings").glob("*.txt")
     ] or sorted((tmp_path / "findings").iterdir())
