@@ -167,7 +167,8 @@ def compute_segment(store: Store, inputs: Inputs, config: Config, job: SceneJob)
 
 def compute_evaluate(store: Store, inputs: Inputs, config: Config, job: SceneJob) -> StageOutput:
     """Score every query, draw it, and gather the evidence for it."""
-    answers = unpack_answers(store.load_arrays(inputs["segment"]["groundings"]))
+    groundings = store.load_arrays(inputs["segment"]["groundings"])
+    answers = unpack_answers(groundings)
     scores = score_scene(job.data, job.queries, answers, job.tools.renderer)
     artifacts = {"rows": store.put_json("rows", scores.rows)}
     for query, answer in job.track(list(zip(job.queries, answers, strict=True)), "evaluate"):
@@ -180,7 +181,7 @@ def compute_evaluate(store: Store, inputs: Inputs, config: Config, job: SceneJob
         evidence = gather_evidence(
             job.data,
             job.queries,
-            store.load_arrays(inputs["segment"]["groundings"]),
+            groundings,
             store.load_json(inputs["query"]["localizations"]),
             opened.views if has_books else None,
             opened.patches if has_books else None,
