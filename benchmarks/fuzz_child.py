@@ -27,6 +27,8 @@ def main() -> None:
     with atheris.instrument_imports(include=list(OURS), exclude=list(COMPILED)):
         from hostile_targets import BROKEN, TARGETS
 
+        from tasks.measure import peak_resident
+
         target = {BROKEN.name: BROKEN, **TARGETS}[name]
         folder = Path(tempfile.mkdtemp())
         seeds = target.seeds(_made(folder / "seeds"))
@@ -40,9 +42,9 @@ def main() -> None:
     _limit_address_space(2**31)
 
     def one(data: bytes) -> None:
-        before = _peak()
+        before = peak_resident()
         error = _outcome(target.read, data, place)
-        grown = _peak() - before
+        grown = peak_resident() - before
         if error is not None:
             _keep(crashes, name, _kind(error), data, "".join(traceback.format_exception(error)))
         if grown > memory:
@@ -99,10 +101,6 @@ def _keep(crashes: Path, name: str, kind: str, data: bytes, text: str) -> None:
     if not path.exists() or path.stat().st_size > len(data):
         path.write_bytes(data)
         path.with_suffix(".txt").write_text(text)
-
-
-def _peak() -> int:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _limit_address_space(more: int) -> None:

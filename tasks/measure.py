@@ -14,7 +14,7 @@ from typing import Literal
 PeakOf = Literal["stage", "shared", "process"]
 """``stage``: of this block alone, where the kernel lets the peak be reset at its start (Linux:
 VmHWM through /proc/self/clear_refs). ``shared``: of this block and of those that ran beside it in
-the process. ``process``: since the process began (ru_maxrss)."""
+the process. ``process``: since the process began."""
 
 _CLEAR_REFS = Path("/proc/self/clear_refs")
 _STATUS = Path("/proc/self/status")
@@ -58,7 +58,7 @@ class Measurement:
             peak = _high_water_mark() if self.peak_of != "process" else None
             if peak is None:
                 self.peak_of = "process"
-                peak = _maximum_resident()
+                peak = peak_resident()
             elif self in _together:
                 self.peak_of = "shared"
             self.peak_bytes = max(peak, self.peak_bytes)
@@ -70,6 +70,20 @@ _lock = threading.Lock()
 _running: set[Measurement] = set()
 _together: set[Measurement] = set()
 """Those of the running ones beside which another has run."""
+
+
+def peak_resident() -> int:
+    """Highest resident memory of this process so far, in bytes.
+
+    The kernel's mark of this program's own pages where it keeps one (Linux): ru_maxrss goes on from
+    the parent's, through fork and exec, and hides in a child of a big process what the child takes.
+    """
+    mark = _high_water_mark()
+    if mark is not None:
+        return mark
+    # Bytes on macOS, kibibytes elsewhere.
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
 def _begin(new: Measurement) -> bool:
@@ -108,9 +122,3 @@ def _high_water_mark() -> int | None:
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) * 1024
     return None
-
-
-def _maximum_resident() -> int:
-    # Bytes on macOS, kibibytes elsewhere.
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

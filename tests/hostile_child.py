@@ -21,6 +21,7 @@ def main() -> None:
     from hostile_targets import TARGETS
 
     from gvr_core.errors import GVRError
+    from tasks.measure import peak_resident
 
     folder = Path(tempfile.mkdtemp())
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
@@ -35,7 +36,7 @@ def main() -> None:
     limit = pages * resource.getpagesize() + 2**31
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     for name, (target, data) in files.items():
-        before, began = _peak(), time.monotonic()
+        before, began = peak_resident(), time.monotonic()
         try:
             TARGETS[target].read(data, folder / target)
             outcome = "accepted"
@@ -43,12 +44,8 @@ def main() -> None:
             outcome = f"refused: {str(error)[:200]}"
         except Exception as error:
             outcome = f"{type(error).__name__}: {error}"[:300]
-        seconds, grown = time.monotonic() - began, _peak() - before
+        seconds, grown = time.monotonic() - began, peak_resident() - before
         print(json.dumps([name, outcome, seconds, grown, len(data)]), flush=True)
-
-
-def _peak() -> int:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 main()

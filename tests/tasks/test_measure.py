@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tasks.measure import Measurement
+from tasks.measure import Measurement, peak_resident
 
 linux = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="Linux only")
 
@@ -42,7 +42,7 @@ def test_a_block_that_begins_takes_no_peak_from_one_that_runs() -> None:
     """In a fresh process: libraries that other tests load keep freed memory for themselves."""
     code = """
 import numpy as np
-from tasks.measure import Measurement
+from tasks.measure import Measurement, peak_resident
 outer = Measurement()
 with outer:
     np.ones(50_000_000).sum()  # 400 MB, gone before the inner block resets the peak
@@ -60,3 +60,11 @@ def test_where_the_kernel_resets_nothing_the_peak_is_the_process_s(monkeypatch, 
     with Measurement() as measured:
         block = np.ones(1_000_000)
     assert measured.peak_of == "process" and measured.peak_bytes > block.nbytes
+
+
+def test_the_peak_is_not_the_parents() -> None:
+    big = b"x" * (400 * 2**20)
+    command = "from tasks.measure import peak_resident; print(peak_resident())"
+    child = subprocess.run([sys.executable, "-c", command], capture_output=True, check=True)
+    assert len(big) <= peak_resident()
+    assert 2**20 < int(child.stdout) < 200 * 2**20
