@@ -84,20 +84,51 @@ class Stopwatch:
 def flow(suite: Path, out: Path, models: str) -> None:
     """``gvr run`` under stopwatches."""
     watch = Stopwatch()
-    imports = watch.around("imports", _import_all)
-    imports()
+    watch.around("imports", functools.partial(importlib.import_module, "flows.cli"))()
+    import flows.cli
     import flows.run_commands
-    import flows.scene
-    import reports.mlflow_sink
-    import reports.results_place
-    import tasks.computing
-    import tasks.objects
     import tasks.prefect_runtime
-    import tasks.stages
-    from flows.cli import app
 
     runtime = tasks.prefect_runtime.prefect_runtime
     tasks.prefect_runtime.prefect_runtime = watch.around_context("Prefect server", runtime)
+    synced: list[Any] = []
+    begin = flows.run_commands.begin_store
+
+    def begin_all(uri: str) -> None:
+        # What a run imports while its server starts can be watched from then on only.
+        begin(uri)
+        importlib.import_module("flows.benchmark")
+        watch_all(watch)
+        synced.append(kept(importlib.import_module("reports.mlflow_sink"), "sync"))
+
+    flows.run_commands.begin_store = watch.around("imports while the server starts", begin_all)
+    arguments = ["run", str(suite), "--models", models, "--quiet"]
+    try:
+        flows.cli.main(arguments)
+    except SystemExit as end:
+        if end.code:
+            raise
+    check_filled([report.n_created for report in synced[0]])
+    (folder,) = Path("home/results").glob("*/result.json")
+    scores = _read(folder.parent)
+    names = [planned.stage.name for planned in importlib.import_module("tasks.stages").STAGES]
+    stages = {name: watch.seconds.pop(f"stage {name}", 0.0) for name in names}
+    wall = time.perf_counter() - _START
+    parts = {"stages' own work": sum(stages.values()), **watch.seconds}
+    parts["all else: Prefect's tasks and flows"] = wall - sum(parts.values())
+    answer = {"wall": wall, "parts": parts, "scores": scores, "stages": stages}
+    out.write_text(json.dumps(answer), encoding="utf-8")
+
+
+def watch_all(watch: Stopwatch) -> None:
+    """Put the stopwatch around the stages, and around what surrounds them."""
+    import flows.run_commands
+    import flows.scene
+    import reports.results_place
+    import tasks.computing
+    import tasks.objects
+    import tasks.stages
+
     watch.watch("loading scenes", flows.scene, "load_scene")
     watch.watch(
         "store: writing, hashing, syncing", tasks.objects.ObjectStore, "_adopt", "put_arrays"
@@ -107,24 +138,9 @@ def flow(suite: Path, out: Path, models: str) -> None:
     watch.watch("result record", reports.results_place.ResultsPlace, "write")
     watch.watch("tables", flows.run_commands, "print_tables")
     watch.watch("MLflow", flows.run_commands, "fill_mlflow")
-    synced = kept(reports.mlflow_sink, "sync")
-    names = [planned.stage.name for planned in tasks.stages.STAGES]
     for planned in tasks.stages.STAGES:
         function = watch.around(f"stage {planned.stage.name}", planned.stage.function)
         object.__setattr__(planned.stage, "function", function)
-    arguments = ["run", str(suite), "--models", models, "--quiet"]
-    code = app(arguments, standalone_mode=False)
-    if code:
-        raise SystemExit(code)
-    check_filled([report.n_created for report in synced])
-    (folder,) = Path("home/results").glob("*/result.json")
-    scores = _read(folder.parent)
-    stages = {name: watch.seconds.pop(f"stage {name}", 0.0) for name in names}
-    wall = time.perf_counter() - _START
-    parts = {"stages' own work": sum(stages.values()), **watch.seconds}
-    parts["all else: Prefect's tasks and flows"] = wall - sum(parts.values())
-    answer = {"wall": wall, "parts": parts, "scores": scores, "stages": stages}
-    out.write_text(json.dumps(answer), encoding="utf-8")
 
 
 def kept(owner: Any, name: str) -> list[Any]:
@@ -150,11 +166,6 @@ def check_filled(created: list[int]) -> None:
     """
     if len(created) != 1 or created[0] < 2:
         raise SystemExit(f"MLflow was not filled: syncs that ended made {created} runs")
-
-
-def _import_all() -> None:
-    for name in ("flows.benchmark", "flows.cli", "tasks.prefect_runtime"):
-        importlib.import_module(name)
 
 
 def _read(folder: Path) -> dict[str, dict[str, float]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import signal
 import sys
 from pathlib import Path
@@ -290,6 +292,8 @@ def main(arguments: list[str] | None = None) -> Any:
     """Entry point: errors of ours become one line and an exit code."""
     # Ending by SIGTERM unwinds like Ctrl-C, so that servers that were started are stopped.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    # At its end Python looks through all objects for some to collect, for a second or two.
+    atexit.register(gc.freeze)
     try:
         return app(args=arguments)
     except InputError as error:

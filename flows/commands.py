@@ -22,7 +22,6 @@ from gvr_core.protocols import PROTOCOLS
 from reports import tables
 from reports.document import replace_block
 from reports.mlflow_store import default_tracking_uri
-from reports.pictures import contact_sheet
 from reports.record import Result, Row
 from reports.result_io import read_result
 from reports.results_place import ResultsPlace
@@ -135,6 +134,8 @@ def show(
     else:
         print_tables(result, rows)
     if sheet is not None:
+        from reports.pictures import contact_sheet  # imports matplotlib
+
         with atomic_write(sheet) as stream:
             stream.write(contact_sheet(_one_picture_per_object(folder, result)))
 

@@ -10,7 +10,7 @@ from flows.commands import console, print_tables
 from flows.job import Job, exit_code, fill_mlflow, not_filled, prepare
 from flows.places import home
 from flows.when import When
-from reports.mlflow_store import SyncError
+from reports.mlflow_store import SyncError, begin_store
 from tasks.store import Store
 
 warnings = Console(stderr=True)
@@ -29,7 +29,14 @@ def run(job: Job, progress: bool) -> int:
 
     store = Store(job.store)
     store.check()
-    with prefect_loss(), prefect_runtime(store, home=home() / "prefect"):
+
+    def get_ready() -> None:
+        # A server takes seconds to start, on one core; so do imports, and MLflow's first tables.
+        if job.tracking_uri is not None:
+            begin_store(job.tracking_uri)
+        import flows.benchmark  # noqa: F401
+
+    with prefect_loss(), prefect_runtime(store, home=home() / "prefect", meanwhile=get_ready):
         from flows.benchmark import run_benchmark
 
         outcome = run_benchmark(suite, job.store, job.results, progress)

@@ -14,8 +14,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from scipy.stats import binomtest
-
 from gvr_core.errors import some_of, unknown_name
 from reports.aggregate import aggregate
 from reports.bootstrap import Difference, paired
@@ -172,6 +170,8 @@ def compare_runs(
 
 def sign_test(differences: Sequence[float]) -> SignTest:
     """The exact two-sided sign test; what is the same in both has no say."""
+    from scipy.stats import binomtest  # slow to import, and every command imports this module
+
     better = sum(value > SAME for value in differences)
     worse = sum(value < -SAME for value in differences)
     moved = better + worse

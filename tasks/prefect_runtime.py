@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,6 +57,7 @@ def prefect_runtime(
     home: Path | str | None = None,
     isolated: bool = False,
     quiet: bool = True,
+    meanwhile: Callable[[], object] | None = None,
 ) -> Iterator[PrefectRuntime]:
     """Settings, home and server for flows, for the length of a ``with`` block.
 
@@ -69,6 +70,7 @@ def prefect_runtime(
         isolated: Use the project-local home even where the user has a Prefect of their own.
         quiet: Show warnings and errors of Prefect only, and no traceback of an error that
             reaches the caller anyway.
+        meanwhile: Called while the project's own server starts, where it has to be started.
 
     Raises:
         StoreError: The server does not start.
@@ -104,7 +106,7 @@ def prefect_runtime(
         url = settings.api.url
         own_server = url is None
         if url is None:
-            url = stack.enter_context(local_server(settings.home))
+            url = stack.enter_context(local_server(settings.home, meanwhile))
         elif nested is None:
             stack.enter_context(joined_server(settings.home, url))
         stack.enter_context(_environment(PREFECT_API_URL=url))

@@ -19,7 +19,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -71,10 +71,14 @@ def read_record(home: Path) -> ServerRecord | None:
 
 
 @contextmanager
-def local_server(home: Path) -> Iterator[str]:
+def local_server(home: Path, meanwhile: Callable[[], object] | None = None) -> Iterator[str]:
     """Use the home's server, and start it where none runs; yields the URL of its API.
 
     Leaving stops the server if nobody else uses it.
+
+    Args:
+        home: Of Prefect.
+        meanwhile: Called while a server starts, which takes seconds; not where one runs already.
 
     Raises:
         StoreError: The server does not start.
@@ -83,11 +87,12 @@ def local_server(home: Path) -> Iterator[str]:
 
     with ExitStack() as held:
         with file_lock(home / "start.lock", timeout=2 * START_TIMEOUT_SECONDS):
-            alone = _is_free(home / "users.lock")
+            # What such a server shows as running was killed.
+            alone_with_history = _is_free(home / "users.lock") and _has_history()
             held.enter_context(file_lock(home / "users.lock", shared=True))
-            url = _living(home) or _start(home)
+            url = _living(home) or _start(home, meanwhile)
         with temporary_settings({"api.url": url}):
-            if alone:
+            if alone_with_history:
                 _end_lost_runs()
             try:
                 yield url
@@ -145,7 +150,7 @@ def _answers(url: str) -> bool:
         return False
 
 
-def _start(home: Path) -> str:
+def _start(home: Path, meanwhile: Callable[[], object] | None) -> str:
     from prefect.settings import get_current_settings
 
     port = _free_port()
@@ -176,6 +181,8 @@ def _start(home: Path) -> str:
         record = ServerRecord(process.pid, psutil.Process(process.pid).create_time(), url)
         with atomic_write(home / "server.json") as stream:
             stream.write(json.dumps(asdict(record)).encode())
+        if meanwhile is not None:
+            meanwhile()
         _await_answer(process, url, home)
     except BaseException:
         process.kill()
@@ -231,6 +238,18 @@ def _free_port() -> int:
     with socket.socket() as probe:
         probe.bind((HOST, 0))
         return int(probe.getsockname()[1])
+
+
+def _has_history() -> bool:
+    """Whether the server's database may hold runs of before: False for a file yet to be made."""
+    from prefect.settings import get_current_settings
+    from sqlalchemy.engine import make_url
+
+    address = get_current_settings().server.database.connection_url
+    if address is None:
+        return True
+    url = make_url(address.get_secret_value())
+    return not url.drivername.startswith("sqlite") or Path(url.database or "").exists()
 
 
 def _end_lost_runs() -> None:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.cluster import DBSCAN
 
 from gvr_core.localize import Place
 from gvr_core.rendering.compiled import precise_kernel
@@ -38,6 +37,9 @@ def cluster_candidates(
     Returns:
         (v,) index of each candidate's cluster, -1 for none, and the reach in scene units.
     """
+    # scikit-learn takes most of a second to import, and every command imports this module.
+    from sklearn.cluster import DBSCAN
+
     points = np.stack([candidate.point for candidate in candidates])
     reach = radii * float(np.median([candidate.radius for candidate in candidates]))
     least = min(len(points), max(MIN_SAMPLES, int(np.ceil(min_share * len(points)))))

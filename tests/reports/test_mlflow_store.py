@@ -11,6 +11,7 @@ import pytest
 from reports.mlflow_store import (
     LocalStore,
     SyncError,
+    begin_store,
     create_store,
     default_tracking_uri,
     local_store,
@@ -45,6 +46,20 @@ def test_two_first_users_at_once(tmp_path: Path) -> None:
         run = client.create_run("0")
         client.log_metric(run.info.run_id, "a", 1.0)
         assert client.get_run(run.info.run_id).data.metrics == {"a": 1.0}
+
+
+def test_a_store_begun_beside_is_made_once_and_by_whoever_comes_first(tmp_path: Path) -> None:
+    uri = f"sqlite:///{tmp_path / 'new' / 'mlflow.db'}"
+    begin_store(uri)
+    deadline = time.monotonic() + 120
+    while not (tmp_path / "new" / ".mlflow.db.lock").exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    with mlflow_client(uri) as client:
+        assert client.create_run("0").info.status == "RUNNING"
+    begin_store(uri)
+    begin_store("sqlite://")
+    with mlflow_client(uri) as client:
+        assert len(client.search_runs(["0"])) == 1
 
 
 def test_creating_again_keeps_what_is_there(store: LocalStore) -> None:

@@ -32,10 +32,12 @@ def waiting():
     while not until.exists():
         time.sleep(0.05)
 
-with prefect_runtime(Store("store"), home=sys.argv[1]) as runtime:
+starts = []
+meanwhile = lambda: starts.append(1)
+with prefect_runtime(Store("store"), home=sys.argv[1], meanwhile=meanwhile) as runtime:
     print(runtime.api_url, flush=True)
     waiting()
-print("done", flush=True)
+print(f"done, {len(starts)} started", flush=True)
 """
 
 
@@ -57,10 +59,13 @@ class User:
         assert self.process.stdout is not None
         return self.process.stdout.readline().strip()
 
-    def leave(self) -> None:
+    def leave(self) -> int:
+        """How many servers it has started."""
         self.until.touch()
-        assert self.says() == "done"
+        words = self.says().split()
+        assert words[0] == "done,"
         assert self.process.wait(60) == 0
+        return int(words[1])
 
     def kill(self) -> None:
         self.process.kill()
@@ -109,9 +114,9 @@ def test_two_commands_at_once_share_a_server_and_the_last_one_stops_it(tmp_path,
     assert second.says() == url
     assert first.says() == second.says() == "running"
     assert len(servers(home)) == 1
-    first.leave()
+    started = first.leave()
     assert len(servers(home)) == 1
-    second.leave()
+    assert started + second.leave() == 1
     assert servers(home) == [] and read_record(home) is None
 
 
