@@ -22,6 +22,7 @@ from flows.view_session import open_scene, start_session
 from flows.viewer import Viewer
 
 PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
+DESKTOP, PHONE = (1280, 720), (390, 844)
 ARGUMENTS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 
@@ -29,9 +30,12 @@ def main(
     scene: str = "gallery/gallery_0",
     text: str = "a tabby cat",
     method: str = "gvr-robust",
-    out: Path = PICTURES / "viewer.png",
+    phone: bool = False,
+    out: Path | None = None,
 ) -> None:
-    """Take the picture."""
+    """Take the picture, as a desktop shows the page or as a phone does."""
+    out = out or PICTURES / ("viewer_phone.png" if phone else "viewer.png")
+    width, height = PHONE if phone else DESKTOP
     chromium = os.environ.get("GVR_CHROMIUM") or shutil.which("chromium")
     if chromium is None:
         sys.exit("no chromium on the path (set GVR_CHROMIUM)")
@@ -43,7 +47,7 @@ def main(
             browser = playwright.chromium.launch(
                 executable_path=chromium, args=[*ARGUMENTS, "--disable-background-networking"]
             )
-            page = browser.new_page(viewport={"width": 1280, "height": 720})
+            page = browser.new_page(viewport={"width": width, "height": height})
             page.goto(viewer.url)
             field = page.locator("form input.mantine-TextInput-input")
             field.fill(text)

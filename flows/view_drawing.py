@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from flows.view_shapes import DisplayFrame, Splats, frustum_lines, splats_of
+from gvr_core.cameras import Camera
 from gvr_core.exports import RED
 from gvr_core.methods import Grounding
 from gvr_core.scene import Scene
@@ -49,6 +51,7 @@ class Drawing:
         server.initial_camera.look_at = _triple(
             self._frame.place(first.position) + 4 * first.forward
         )
+        server.on_client_connect(lambda client: _show_all_of(first, client.camera))
         self._draw_splats("dyed")
         cameras = [view.camera for view in scene.views]
         self._evidence["cameras"] = self._frustums("/cameras", cameras, BLUE, _CAMERA_DEPTH)
@@ -134,6 +137,12 @@ class Drawing:
         return self._server.scene.add_line_segments(
             name, lines, colour, thickness=2.0, thickness_units="screen", visible=False
         )
+
+
+def _show_all_of(view: Camera, page: Any) -> None:
+    """Widen a page's field of view until all of a camera's picture fits, on upright screens too."""
+    across, down = view.width / 2 / view.K[0, 0], view.height / 2 / view.K[1, 1]
+    page.fov = 2 * math.atan(max(down, across / page.aspect))
 
 
 def _triple(vector: Any) -> tuple[float, float, float]:
