@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +44,7 @@ class Workspace:
     ) -> None:
         self.shared_seconds = 0.0
         """Wall seconds spent on what is shared."""
+        self._lock, self._makers, self._since = Lock(), 0, 0.0
         self._features = features
         self._encoder = encoder
         self._rows = {text: row for row, text in enumerate(dict.fromkeys(texts))}
@@ -85,9 +88,22 @@ class Workspace:
         """
 
         def timed() -> FloatArray:
-            start, before = time.perf_counter(), self.shared_seconds
-            array = make()
-            self.shared_seconds = before + time.perf_counter() - start  # what it recalls included
-            return array
+            with self._making():
+                return make()
 
         return self._kept.recall(key, timed)
+
+    @contextmanager
+    def _making(self) -> Iterator[None]:
+        """Time counts once, however many threads, or makers within makers, are at work."""
+        with self._lock:
+            if self._makers == 0:
+                self._since = time.perf_counter()
+            self._makers += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._makers -= 1
+                if self._makers == 0:
+                    self.shared_seconds += time.perf_counter() - self._since

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvr_core.localize import Localization
+from gvr_core.ordered import in_order
 from gvr_core.robust.ballot import Ballot
 from gvr_core.robust.cleanup import follow_neighbours
 from gvr_core.robust.virtual_views import birds_eye, look_around
 from gvr_core.robust.workplace import Weights, Workplace
 from gvr_core.segment import VirtualView
 from gvr_core.stopwatch import step
+from gvr_core.threads import available_threads
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float32]
@@ -106,11 +108,15 @@ def _ask_views(work: Workplace, localization: Localization, index: int, ballot: 
         work.config.vote_views,
     )
     names = list(own)
-    for i in (names[j] for j in chosen):
-        with step("retrieved views"):
-            mask = np.logical_or.reduce([patches.pixels(patch) for patch in own[i]])
-            area = work.pixel_area(scene.views[i].camera, location)
-            ballot.add(work.view_weights(i, mask), trust[i] * area)
+    asked = [names[j] for j in chosen]
+
+    def weights(i: int) -> Weights:
+        mask = np.logical_or.reduce([patches.pixels(patch) for patch in own[i]])
+        return work.view_weights(i, mask)
+
+    with step("retrieved views"):
+        for i, vote in zip(asked, in_order(weights, asked, available_threads()), strict=True):
+            ballot.add(vote, trust[i] * work.pixel_area(scene.views[i].camera, location))
 
 
 def spread_views(
