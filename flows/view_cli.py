@@ -10,8 +10,7 @@ from rich.console import Console
 
 from flows.lines import bundled_models
 from flows.places import store_root
-from gvr_core.errors import unknown_name
-from gvr_core.methods import METHODS
+from gvr_core.methods import METHODS, check_method
 from gvr_core.models.registry import require_weights
 
 console = Console()
@@ -55,8 +54,7 @@ def view(
     from flows.view_session import open_scene, start_session
     from flows.viewer import Viewer
 
-    if method not in METHODS:
-        raise unknown_name("method", method, METHODS)
+    check_method(method, asked=True)
     chosen = bundled_models(models)
     require_weights(chosen)
     data = open_scene(scene, cameras, max_views)
