@@ -24,7 +24,9 @@ def view(
         Path | None,
         typer.Option(help="A splat file's cameras: a cameras.json, or a folder with COLMAP's."),
     ] = None,
-    method: Annotated[str, typer.Option(help=f"One of {', '.join(METHODS)}.")] = "gvr-robust",
+    method: Annotated[
+        str, typer.Option(help=f"One of {', '.join(METHODS)}, or a plugin's.")
+    ] = "gvr-robust",
     models: Annotated[
         str, typer.Option(help="onboard, mobile-sam or paper: see `gvr models ls`.")
     ] = "onboard",
