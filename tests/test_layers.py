@@ -55,11 +55,3 @@ def test_using_the_core_loads_neither_prefect_nor_mlflow() -> None:
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
     assert output.strip() == "[]"
-
-
-def test_libraries_import_beside_our_folder_named_datasets() -> None:
-    code = "import datasets, transformers, mlflow, open_clip; print(datasets.__file__)"
-    output = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout
-    assert output.strip() == str(ROOT / "datasets" / "__init__.py")
