@@ -188,7 +188,8 @@ def _plugins() -> tuple[State, str]:
     offers = plugins.all_offers()
     if not offers:
         return "ok", "none installed"
-    listed, state = [], "ok"
+    listed: list[str] = []
+    state: State = "ok"
     for offer in offers:
         text = f"{offer.group.removeprefix('gvr_bench.')}: {offer.name} ({offer.source})"
         if own[offer.group](offer.name):
@@ -201,4 +202,4 @@ def _plugins() -> tuple[State, str]:
                 text += f", which cannot be used: {error}"
                 state = "bad"
         listed.append(text)
-    return ("bad" if state == "bad" else "ok"), "; ".join(listed)
+    return state, "; ".join(listed)
