@@ -3,10 +3,12 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: help bench test test-slow lint format perf reliability scale clean
+.PHONY: help setup bench test test-slow lint format perf reliability scale clean
 
 help: ## List the commands
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+setup: $(READY) ## Make the environment, .venv; the other targets do it too
 
 bench: $(READY) ## Run the main job: the paper's method and its control on the gallery
 	$(BIN)/gvr run bench

@@ -16,6 +16,8 @@ from datasets.lerf_ovs import NAME as LERF_OVS
 from datasets.lerf_ovs import LerfOvsDataset
 from datasets.native import read_scene
 from datasets.ovs3d import OVS3D, Ovs3dDataset
+from datasets.plugged import PluginDataset
+from gvr_core import plugins
 from gvr_core.errors import ConfigError, DatasetError, unknown_name
 from gvr_core.untrusted import expanded
 
@@ -147,27 +149,35 @@ DATASETS: dict[str, tuple[Callable[..., Dataset], tuple[str, ...]]] = {
 
 
 def check_dataset(name: str) -> None:
-    """Refuse a name that is not registered.
+    """Refuse a name that is not registered, and a plugin that cannot be loaded.
 
     Raises:
         ConfigError: listing the names that are.
+        PluginError: for a plugin that cannot be loaded.
     """
-    if name not in DATASETS and not name.startswith(FOLDER):
-        raise unknown_name("data set", name, [*DATASETS, FOLDER + "PATH"])
+    if name in DATASETS or name.startswith(FOLDER):
+        return
+    if not plugins.is_offered(plugins.DATASETS, name):
+        known = [*DATASETS, *plugins.offered(plugins.DATASETS), FOLDER + "PATH"]
+        raise unknown_name("data set", name, known)
+    plugins.load(plugins.DATASETS, name)
 
 
 def get_dataset(name: str, settings: Mapping[str, Any]) -> Dataset:
     """The data set of that name.
 
     Args:
-        name: A registered name, or ``folder:PATH``.
+        name: A registered name, ``folder:PATH``, or the name of a plugin's data set.
         settings: What the data set can be told; see :data:`DATASETS`.
 
     Raises:
         ConfigError: for a name or a setting that is not known.
         DatasetError: for a folder without scenes.
+        PluginError: for a plugin that cannot be loaded, or does not take its settings.
     """
     check_dataset(name)
+    if name not in DATASETS and not name.startswith(FOLDER):
+        return PluginDataset(plugins.load(plugins.DATASETS, name), settings)
     make, accepted = DATASETS.get(name, (None, ()))
     unknown = sorted(set(settings) - set(accepted))
     if unknown:

@@ -126,7 +126,9 @@ def ground(
     splat: Annotated[Path, typer.Argument(help="The scene: a .ply or .splat file.")],
     cameras: Annotated[Path, typer.Option(help="A cameras.json, or a folder with a COLMAP model.")],
     query: Annotated[list[str], typer.Option(help="What to find; may be given more than once.")],
-    method: Annotated[str, typer.Option(help=f"One of {', '.join(METHODS)}.")] = "gvr-paper",
+    method: Annotated[
+        str, typer.Option(help=f"One of {', '.join(METHODS)}, or a plugin's.")
+    ] = "gvr-paper",
     export: Annotated[
         list[str] | None,
         typer.Option(

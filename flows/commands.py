@@ -16,7 +16,7 @@ from flows.places import home
 from gvr_core.atomic import atomic_write
 from gvr_core.errors import ConfigError, unknown_name
 from gvr_core.exports import EXPORTS, RED, parse_colour
-from gvr_core.methods import METHODS
+from gvr_core.methods import check_method
 from gvr_core.models.registry import require_weights
 from gvr_core.protocols import PROTOCOLS
 from reports import tables
@@ -63,8 +63,7 @@ def ground(
             nothing is computed then.
         ModelError: for weights that are missing.
     """
-    if method not in METHODS:
-        raise unknown_name("method", method, METHODS)
+    check_method(method, asked=True)
     chosen = bundled_models(models)
     require_weights(chosen)
     for kind in exports:

@@ -50,6 +50,7 @@ def examine(store: Path | str) -> Iterator[Finding]:
         "full-strength models": _checkpoints,
         "photographs": _photographs,
         "splats": _splats,
+        "plugins": _plugins,
     }
     for what, check in checks.items():
         try:
@@ -168,3 +169,37 @@ def _splats() -> tuple[State, str]:
         return "ok", f"composite scenes: {', '.join(get_dataset('composite', {}).scenes())}"
     except GVRError as error:
         return "note", f"the composite suite cannot run: {error}"
+
+
+def _plugins() -> tuple[State, str]:
+    """What installed packages bring, each loaded to see whether it can be."""
+    from datasets.registry import DATASETS
+    from gvr_core import plugins
+    from gvr_core.methods import OWN
+    from gvr_core.models.registry import is_own_name
+    from gvr_core.rendering.base import BACKENDS
+
+    own: dict[str, Callable[[str], bool]] = {
+        plugins.DATASETS: DATASETS.__contains__,
+        plugins.MODELS: is_own_name,
+        plugins.METHODS: OWN.__contains__,
+        plugins.RENDERERS: BACKENDS.__contains__,
+    }
+    offers = plugins.all_offers()
+    if not offers:
+        return "ok", "none installed"
+    listed: list[str] = []
+    state: State = "ok"
+    for offer in offers:
+        text = f"{offer.group.removeprefix('gvr_bench.')}: {offer.name} ({offer.source})"
+        if own[offer.group](offer.name):
+            text += ", never used: the project has its own of that name"
+            state = "bad"
+        else:
+            try:
+                plugins.load(offer.group, offer.name)
+            except GVRError as error:
+                text += f", which cannot be used: {error}"
+                state = "bad"
+        listed.append(text)
+    return state, "; ".join(listed)

@@ -63,8 +63,9 @@ def prepare(job: Job) -> SuiteConfig:
     check_runner(suite.run)
     resolve_scenes(suite.datasets)
     needed = [line.models for line in suite.lines() if line.method.needs_books]
-    for chosen in dict.fromkeys(needed):  # the lines of a set share its models
-        require_weights(chosen)
+    for i, chosen in enumerate(needed):
+        if chosen not in needed[:i]:  # the lines of a set share its models
+            require_weights(chosen)
     return suite
 
 

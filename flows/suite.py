@@ -20,7 +20,7 @@ from datasets.registry import FOLDER, check_dataset, get_dataset
 from flows.lines import BUNDLED, Line, ModelSet, make_lines
 from flows.run_config import RunConfig
 from gvr_core.errors import ConfigError, unknown_name
-from gvr_core.methods import METHODS, MethodConfig, check_method, variants
+from gvr_core.methods import MethodConfig, check_method, check_options, variants
 from gvr_core.models.registry import ModelConfig, check_models
 from gvr_core.rendering import get_renderer
 from gvr_core.untrusted import read_toml
@@ -86,6 +86,7 @@ class SuiteConfig(BaseModel):
         _refuse_doubles("data sets", [dataset.name for dataset in self.datasets])
         for method in self.methods:
             check_method(method.method)
+            check_options(method)
         for models in self.models:
             check_models(models)
         labels = [models.label for models in self.models]
@@ -207,8 +208,8 @@ def _chosen_methods(suite: SuiteConfig, names: Sequence[str]) -> tuple[MethodCon
     single = {v.shown_name: v for method in suite.methods for v in variants(method)[1:]}
     chosen = []
     for name in dict.fromkeys(names):
-        if name not in shown and name not in single and name not in METHODS:
-            raise unknown_name("method", name, [*shown, *single, *METHODS])
+        if name not in shown and name not in single:
+            check_method(name, asked=True, others=(*shown, *single))
         chosen.append(shown.get(name) or single.get(name) or MethodConfig(method=name))
     # A single variant is no second line beside its own method with all its variants.
     covered = {v.shown_name for method in chosen for v in variants(method)[1:]}

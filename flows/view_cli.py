@@ -10,8 +10,7 @@ from rich.console import Console
 
 from flows.lines import bundled_models
 from flows.places import store_root
-from gvr_core.errors import unknown_name
-from gvr_core.methods import METHODS
+from gvr_core.methods import METHODS, check_method
 from gvr_core.models.registry import require_weights
 
 console = Console()
@@ -25,7 +24,9 @@ def view(
         Path | None,
         typer.Option(help="A splat file's cameras: a cameras.json, or a folder with COLMAP's."),
     ] = None,
-    method: Annotated[str, typer.Option(help=f"One of {', '.join(METHODS)}.")] = "gvr-robust",
+    method: Annotated[
+        str, typer.Option(help=f"One of {', '.join(METHODS)}, or a plugin's.")
+    ] = "gvr-robust",
     models: Annotated[
         str, typer.Option(help="onboard, mobile-sam or paper: see `gvr models ls`.")
     ] = "onboard",
@@ -55,8 +56,7 @@ def view(
     from flows.view_session import open_scene, start_session
     from flows.viewer import Viewer
 
-    if method not in METHODS:
-        raise unknown_name("method", method, METHODS)
+    check_method(method, asked=True)
     chosen = bundled_models(models)
     require_weights(chosen)
     data = open_scene(scene, cameras, max_views)

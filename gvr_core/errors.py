@@ -9,6 +9,7 @@
     │   ├── DatasetError          a data set's folder, masks, labels or queries
     │   ├── ConfigError           a suite file, or an unknown name of a method, scene, ...
     │   ├── ModelError            a model's weights or its name
+    │   ├── PluginError           what an installed package brings, and cannot be used
     │   └── ResultError           a result's folder (reports.result_check)
     ├── SceneLost             a scene's process died or was ended (flows.scene_process)
     ├── StoreError            the artifact store: a damaged object, a record that is not ours
@@ -74,6 +75,10 @@ class ConfigError(InputError):
 
 class ModelError(InputError):
     """A model that is not known here, or whose weights are not what they should be."""
+
+
+class PluginError(InputError):
+    """Something that an installed package brings cannot be loaded, or is not what it should be."""
 
 
 class StoreError(GVRError):

@@ -8,6 +8,7 @@ import subprocess
 from importlib import metadata, util
 from pathlib import Path
 
+from gvr_core import plugins
 from reports.record import Environment
 
 PACKAGES = (
@@ -39,7 +40,8 @@ PACKAGES = (
     "sqlalchemy",
     "fastapi",
 )
-"""The distributions whose version can change a number, a time, or whether a run works at all."""
+"""The distributions whose version can change a number, a time, or whether a run works at all; those
+of the plugins that were loaded come on top."""
 
 _ROOT = Path(__file__).resolve().parent.parent
 _GIT_SECONDS = 10
@@ -127,4 +129,4 @@ def _versions() -> dict[str, str]:
             versions[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    return versions
+    return versions | dict(plugins.loaded())

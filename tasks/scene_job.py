@@ -59,7 +59,7 @@ class SceneJob:
         none = dict.fromkeys(("segmenter", "encoder", "text_segmenter"), "none")
         names = none | self.model_names()
         return {
-            "method": self.method.method,
+            "method": self.method.identity,
             **self.method.settings(),
             **names,
             "calibration": calibration_of(names["encoder"]).model_dump(mode="json"),

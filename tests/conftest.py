@@ -9,6 +9,7 @@ from pathlib import Path
 
 import fsspec
 import pytest
+from plugin_packages import as_in_a_new_process
 from s3_server import S3Server
 
 from tasks.prefect_runtime import PrefectRuntime, prefect_runtime
@@ -48,3 +49,15 @@ def s3(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> S3Server:
     """The S3 server, as the one that s3:// means in this test."""
     monkeypatch.setitem(fsspec.config.conf, "s3", s3_server.settings)
     return s3_server
+
+
+@pytest.fixture
+def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder of installed packages that this process finds, empty at first."""
+    folder = tmp_path / "packages"
+    folder.mkdir()
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # a second's edits would not be seen
+    monkeypatch.syspath_prepend(str(folder))
+    as_in_a_new_process(folder)
+    yield folder
+    as_in_a_new_process(folder)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
-from gvr_core.errors import unknown_name
+from gvr_core import plugins
+from gvr_core.errors import ConfigError, unknown_name
 from gvr_core.methods.base import Grounding, Method
 from gvr_core.methods.gvr_paper import GVRPaper, LocateConfig, SegmentConfig
 from gvr_core.methods.gvr_robust import GVRRobust
@@ -32,6 +33,12 @@ METHODS = {
 PREDICTIONS = "predictions"
 """Name of the method that reads someone else's answers from a folder."""
 
+OWN = (*METHODS, PREDICTIONS)
+"""All names of the project's own; a plugin's method of such a name is never looked at."""
+
+PARTS = ("name", "prepare", "index", "share", "ground", "locate", "segment")
+"""What a plugin's method must have; see :class:`Method`."""
+
 RANDOM_ENCODER = "random:0"
 """The control's encoder: unit vectors drawn from a seeded generator, blind to what they stand for.
 It makes the retrieved patch of each view, and the proposal that a text mask picks, a random one."""
@@ -43,7 +50,7 @@ class MethodConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     method: str = "gvr-paper"
-    """A name from :data:`METHODS`, or :data:`PREDICTIONS`."""
+    """A name from :data:`METHODS`, :data:`PREDICTIONS`, or a plugin's."""
     label: str = Field(default="", pattern=r"^[A-Za-z0-9 _./+-]{0,40}$")
     """Name in tables and MLflow; the method's own name where empty. What is left out of a variant
     comes on top."""
@@ -59,6 +66,19 @@ class MethodConfig(BaseModel):
     """``lift``: its settings."""
     predictions: PredictionsConfig = PredictionsConfig()
     """``predictions``: where they lie."""
+    options: dict[str, JsonValue] = Field(default_factory=dict)
+    """A plugin's method: what it is told."""
+
+    @property
+    def identity(self) -> str:
+        """The method's own name; of a plugin's with its origin. Part of cache keys.
+
+        Raises:
+            PluginError: for a plugin that cannot be loaded.
+        """
+        if self.method in OWN:
+            return self.method
+        return f"{self.method} [{plugins.load(plugins.METHODS, self.method).origin}]"
 
     @property
     def shown_name(self) -> str:
@@ -96,6 +116,8 @@ class MethodConfig(BaseModel):
         elif self.method == PREDICTIONS:
             locate = {}
             segment = {"sha256": self.predictions.digest()}
+        elif self.method not in OWN:
+            index = locate = segment = self.options
         else:
             locate = self.locate.model_dump(mode="json")
             segment = self.segment.model_dump(mode="json") | {"rfl": self.locate.rfl}
@@ -126,7 +148,7 @@ def variants(config: MethodConfig) -> tuple[MethodConfig, ...]:
             )
             for name in base.robust.switches()
         ]
-    elif config.method not in ("lift", PREDICTIONS):
+    elif config.method in ("gvr-paper", "random-patch"):
         no_rfl: dict[str, Any] = {"locate": base.locate.model_copy(update={"rfl": False})}
         no_smfi: dict[str, Any] = {"segment": base.segment.model_copy(update={"smfi": False})}
         parts = [("w/o RFL", no_rfl), ("w/o SMFI", no_smfi), ("w/o RFL and SMFI", no_rfl | no_smfi)]
@@ -134,14 +156,39 @@ def variants(config: MethodConfig) -> tuple[MethodConfig, ...]:
     return base, *(base.model_copy(update=part | {"label": prefix + name}) for name, part in parts)
 
 
-def check_method(name: str) -> None:
-    """Refuse a name that is not registered.
+def check_method(name: str, asked: bool = False, others: Sequence[str] = ()) -> None:
+    """Refuse a name that is not registered, and a plugin that cannot be loaded.
+
+    Args:
+        name: The name.
+        asked: Whether the method is to answer questions that nobody has asked before.
+        others: Names of other things that could have been meant; errors list them too.
 
     Raises:
         ConfigError: listing the names that are.
+        PluginError: for a plugin that cannot be loaded.
     """
-    if name not in (*METHODS, PREDICTIONS):
-        raise unknown_name("method", name, [*METHODS, PREDICTIONS])
+    own = tuple(METHODS) if asked else OWN
+    if name in own:
+        return
+    if name in OWN or not plugins.is_offered(plugins.METHODS, name):
+        raise unknown_name("method", name, [*others, *own, *plugins.offered(plugins.METHODS)])
+    plugins.load(plugins.METHODS, name)
+
+
+def check_options(config: MethodConfig) -> None:
+    """Refuse options that the method would not read.
+
+    Raises:
+        ConfigError: for options of a method of the project's own, which has tables instead.
+    """
+    if config.options and config.method in OWN:
+        raise ConfigError(
+            f"options of {config.method}",
+            place="options",
+            accepted="options of a plugin's method; those of the project's own are in tables "
+            "such as locate, segment, robust, lift and predictions",
+        )
 
 
 def build_method(config: MethodConfig, tools: Toolbox) -> Method:
@@ -149,8 +196,13 @@ def build_method(config: MethodConfig, tools: Toolbox) -> Method:
 
     Raises:
         ConfigError: for a name that is not registered.
+        PluginError: for a plugin that cannot be loaded, or does not take its options.
     """
     check_method(config.method)
+    if config.method not in OWN:
+        plugin = plugins.load(plugins.METHODS, config.method)
+        made: Method = plugin.made(PARTS, tools, config.shown_name, **config.options)
+        return made
     makers: dict[str, Callable[[], Method]] = {
         "gvr-robust": lambda: GVRRobust(tools, config.robust, config.background, config.shown_name),
         PREDICTIONS: lambda: Predictions(config.predictions, config.shown_name),
@@ -175,5 +227,6 @@ __all__ = [
     "Toolbox",
     "build_method",
     "check_method",
+    "check_options",
     "variants",
 ]

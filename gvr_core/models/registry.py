@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from threading import RLock
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from gvr_core import plugins
 from gvr_core.errors import ConfigError, unknown_name
 from gvr_core.models import full_strength
 from gvr_core.models.base import Encoder, Models, Segmenter, TextSegmenter
@@ -24,6 +25,14 @@ from gvr_core.models.oracle import (
     OracleSegmenter,
     OracleTextSegmenter,
     OracleWorld,
+)
+from gvr_core.models.plugged import (
+    ENCODER,
+    SEGMENTER,
+    TEXT_SEGMENTER,
+    is_plugin,
+    load_plugin,
+    plugged,
 )
 from gvr_core.models.random_encoder import RandomEncoder
 from gvr_core.models.ranked_proposals import RankedProposals, RankedSettings
@@ -66,6 +75,8 @@ class ModelConfig(BaseModel):
     """Settings of ``"open_clip:..."``."""
     grounding_dino: GroundingDinoSettings = GroundingDinoSettings()
     """Settings of ``"grounded_sam:..."``."""
+    options: dict[str, dict[str, JsonValue]] = Field(default_factory=dict)
+    """Name of a plugin's model -> what it is told."""
 
 
 @dataclass(frozen=True)
@@ -165,10 +176,11 @@ def needs_world(config: ModelConfig) -> bool:
 
 
 def check_models(config: ModelConfig) -> None:
-    """Refuse names that are not known, without looking at any file.
+    """Refuse names that are not known, without looking at any file of weights.
 
     Raises:
-        ConfigError: listing the names that are.
+        ConfigError: listing the names that are; for options of a model that is not chosen.
+        PluginError: for a plugin that cannot be loaded.
     """
     roles: list[tuple[str, str, Sequence[Kind[Any]]]] = [
         ("segmenter", config.segmenter, SEGMENTERS),
@@ -176,8 +188,28 @@ def check_models(config: ModelConfig) -> None:
         ("text segmenter", config.text_segmenter, TEXT_SEGMENTERS),
     ]
     for role, name, kinds in roles:
-        if name != ORACLE and all(kind.rest(name) is None for kind in kinds):
-            raise unknown_name(role, name, [ORACLE, *(kind.form for kind in kinds)])
+        if _is_own(name, kinds):
+            continue
+        if not is_plugin(name):
+            offered = plugins.offered(plugins.MODELS)
+            raise unknown_name(role, name, [ORACLE, *(kind.form for kind in kinds), *offered])
+        load_plugin(name)
+    chosen = {name for _, name, kinds in roles if not _is_own(name, kinds)}
+    unread = sorted(set(config.options) - chosen)
+    if unread:
+        raise ConfigError(
+            f"options of {', '.join(unread)}",
+            accepted=", ".join(sorted(chosen)) or "no options: no model is a plugin's",
+        )
+
+
+def is_own_name(name: str) -> bool:
+    """Whether a name is one of the project's own models, in any role."""
+    return any(_is_own(name, kinds) for kinds in (SEGMENTERS, ENCODERS, TEXT_SEGMENTERS))
+
+
+def _is_own(name: str, kinds: Sequence[Kind[Any]]) -> bool:
+    return name == ORACLE or any(kind.rest(name) is not None for kind in kinds)
 
 
 def build_models(config: ModelConfig | None = None, world: OracleWorld | None = None) -> Models:
@@ -193,6 +225,7 @@ def build_models(config: ModelConfig | None = None, world: OracleWorld | None = 
     Raises:
         ConfigError: for a name that is not known, listing those that are, an oracle without a
             truth, or a device that is not there.
+        PluginError: for a plugin that cannot be loaded, or does not take its options.
         ModelError: for weights that are missing or wrong.
     """
     config = config or ModelConfig()
@@ -223,6 +256,8 @@ def require_weights(config: ModelConfig) -> None:
 def _segmenter(config: ModelConfig, world: OracleWorld | None) -> Segmenter:
     if world is not None and config.segmenter == ORACLE:
         return OracleSegmenter(world)
+    if not _is_own(config.segmenter, SEGMENTERS):
+        return cast(Segmenter, plugged(config.segmenter, SEGMENTER, config.options))
     make, rest = _kind_of(config.segmenter, SEGMENTERS)
     return make(config, rest)
 
@@ -230,6 +265,8 @@ def _segmenter(config: ModelConfig, world: OracleWorld | None) -> Segmenter:
 def _encoder(config: ModelConfig, world: OracleWorld | None) -> Encoder:
     if world is not None and config.encoder == ORACLE:
         return OracleEncoder(world)
+    if not _is_own(config.encoder, ENCODERS):
+        return cast(Encoder, plugged(config.encoder, ENCODER, config.options))
     make, rest = _kind_of(config.encoder, ENCODERS)
     return make(config, rest)
 
@@ -239,7 +276,11 @@ def _text_segmenter(
 ) -> TextSegmenter:
     if world is not None and config.text_segmenter == ORACLE:
         return OracleTextSegmenter(world)
-    make, rest = _kind_of(config.text_segmenter, TEXT_SEGMENTERS)
+    name = config.text_segmenter
+    if not _is_own(name, TEXT_SEGMENTERS):
+        made = plugged(name, TEXT_SEGMENTER, config.options, segmenter, encoder)
+        return cast(TextSegmenter, made)
+    make, rest = _kind_of(name, TEXT_SEGMENTERS)
     return make(config, rest, segmenter, encoder)
 
 

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from gvr_core import plugins
 from gvr_core.cameras import Camera
 from gvr_core.errors import unknown_name
 from gvr_core.gaussians import Gaussians
@@ -187,23 +188,32 @@ def _torch_reference() -> Renderer:
     return TorchReference()
 
 
-_BACKENDS: dict[str, Callable[[], Renderer]] = {
+BACKENDS: dict[str, Callable[[], Renderer]] = {
     "numba": _numba,
     "gsplat": _gsplat,
     "torch-reference": _torch_reference,
 }
+"""The renderers of the project's own by name."""
+
+PARTS = ("name", "render", "render_many", "weights")
+"""What a plugin's renderer must have; see :class:`Renderer`."""
 
 
 def get_renderer(name: str) -> Renderer:
     """The renderer of that name.
 
     Args:
-        name: ``"numba"`` (CPU), ``"gsplat"`` (CUDA) or ``"torch-reference"`` (the slow oracle).
+        name: ``"numba"`` (CPU), ``"gsplat"`` (CUDA), ``"torch-reference"`` (the slow oracle), or
+            the name of a plugin's.
 
     Raises:
         ConfigError: for a name that is not known, listing those that are; for ``"gsplat"``
             without a CUDA GPU or without the package, saying which and what to do.
+        PluginError: for a plugin that cannot be loaded.
     """
-    if name not in _BACKENDS:
-        raise unknown_name("renderer", name, _BACKENDS)
-    return _BACKENDS[name]()
+    if name in BACKENDS:
+        return BACKENDS[name]()
+    if not plugins.is_offered(plugins.RENDERERS, name):
+        raise unknown_name("renderer", name, [*BACKENDS, *plugins.offered(plugins.RENDERERS)])
+    plugin = plugins.load(plugins.RENDERERS, name)
+    return cast(Renderer, plugins.Known(plugin.made(PARTS), plugin.origin))
