@@ -16,7 +16,6 @@ from gvr_core.localize import (
     vote,
     voting_radius,
 )
-from gvr_core.ordered import in_order
 from gvr_core.robust.candidates import (
     NEUTRAL,
     Candidate,
@@ -28,7 +27,6 @@ from gvr_core.robust.clusters import cluster_candidates, places_of
 from gvr_core.robust.config import RobustLocate
 from gvr_core.scene import View
 from gvr_core.stopwatch import step
-from gvr_core.threads import available_threads
 
 FloatArray = NDArray[np.float32]
 
@@ -60,13 +58,11 @@ def find_places(
     with step("best patches"):
         chosen = _chosen_patches(books, scores, config)
     with step("back-projection"):
-
-        def place(j: int) -> Candidate | None:
-            depths, score = books.depths, float(scores[j])
-            return place_candidate(j, score, patches, depths, views, config.median_depth)
-
-        found = in_order(place, chosen, available_threads())
-        candidates = [candidate for candidate in found if candidate is not None]
+        found = [
+            place_candidate(j, float(scores[j]), patches, books.depths, views, config.median_depth)
+            for j in chosen
+        ]
+    candidates = [candidate for candidate in found if candidate is not None]
     retrieval = _retrieval(candidates)
     if not candidates:
         none = np.empty(0, np.int64)
