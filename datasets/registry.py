@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from datasets.base import Dataset, SceneData
 from datasets.camera_checks import is_file
+from datasets.captures import CAPTURES, CapturesDataset
 from datasets.composite import COMPOSITE, LAYOUTS, STRESS, STRESS_LAYOUTS, CompositeDataset
 from datasets.gallery import GalleryDataset
 from datasets.lerf_mask import LERF_MASK, LerfMaskDataset
@@ -152,15 +154,15 @@ def check_dataset(name: str) -> None:
     Raises:
         ConfigError: listing the names that are.
     """
-    if name not in DATASETS and not name.startswith(FOLDER):
-        raise unknown_name("data set", name, [*DATASETS, FOLDER + "PATH"])
+    if name not in DATASETS and not name.startswith((FOLDER, CAPTURES)):
+        raise unknown_name("data set", name, [*DATASETS, FOLDER + "PATH", CAPTURES + "PATH"])
 
 
 def get_dataset(name: str, settings: Mapping[str, Any]) -> Dataset:
     """The data set of that name.
 
     Args:
-        name: A registered name, or ``folder:PATH``.
+        name: A registered name, ``folder:PATH`` or ``captures:PATH``.
         settings: What the data set can be told; see :data:`DATASETS`.
 
     Raises:
@@ -168,13 +170,18 @@ def get_dataset(name: str, settings: Mapping[str, Any]) -> Dataset:
         DatasetError: for a folder without scenes.
     """
     check_dataset(name)
-    make, accepted = DATASETS.get(name, (None, ()))
+    make, accepted = DATASETS.get(name) or _of_folder(name)
     unknown = sorted(set(settings) - set(accepted))
     if unknown:
         raise ConfigError(
             f"unknown setting {', '.join(unknown)} of the data set {name}",
             accepted=", ".join(accepted) or "no settings",
         )
-    if make is None:
-        return FolderDataset(Path(name.removeprefix(FOLDER)))
     return make(**settings)
+
+
+def _of_folder(name: str) -> tuple[Callable[..., Dataset], tuple[str, ...]]:
+    """How the scenes of a folder of one's own are read, and the settings that takes."""
+    if name.startswith(CAPTURES):
+        return partial(CapturesDataset, Path(name.removeprefix(CAPTURES))), ("queries",)
+    return partial(FolderDataset, Path(name.removeprefix(FOLDER))), ()

@@ -16,6 +16,7 @@ from pydantic import (
     model_validator,
 )
 
+from datasets.captures import CAPTURES
 from datasets.registry import FOLDER, check_dataset, get_dataset
 from flows.lines import BUNDLED, Line, ModelSet, make_lines
 from flows.run_config import RunConfig
@@ -34,7 +35,8 @@ class DatasetChoice(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
-    """A registered name, or ``folder:PATH`` for a folder of scenes of one's own."""
+    """A registered name, or for scenes of one's own ``folder:PATH`` (in the native layout) or
+    ``captures:PATH`` (splats and cameras, without truth)."""
     scenes: tuple[str, ...] | None = None
     """Names of scenes; all of them where left out."""
     settings: dict[str, Any] = Field(default_factory=dict)
@@ -44,8 +46,10 @@ class DatasetChoice(BaseModel):
     @classmethod
     def _one_spelling(cls, name: str) -> str:
         # As the data set itself is called: results are found again by that.
-        folder = name.removeprefix(FOLDER)
-        return name if folder == name else f"{FOLDER}{Path(folder)}"
+        for kind in (FOLDER, CAPTURES):
+            if name.startswith(kind):
+                return f"{kind}{Path(name.removeprefix(kind))}"
+        return name
 
 
 class SuiteConfig(BaseModel):
