@@ -12,6 +12,7 @@ from rich.console import Console
 
 from flows import cache_commands, commands, run_commands
 from flows.datasets_cli import datasets_app
+from flows.init_cli import init
 from flows.job import EXIT_BAD_INPUT, EXIT_FAILED, Job
 from flows.models_cli import models_app
 from flows.places import results_root, store_root
@@ -33,6 +34,7 @@ cache_app = typer.Typer(help="Look after the artifact store.", no_args_is_help=T
 app.add_typer(cache_app, name="cache")
 app.add_typer(models_app, name="models")
 app.add_typer(datasets_app, name="datasets")
+app.command()(init)
 app.command()(schedule)
 add_report_commands(app)
 app.command()(view)
