@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flows.output import JsonOption, print_document, say
-from flows.own_scenes import FoundData, look_at
-from flows.own_suite import EXAMPLES, check_free, suite_name, suite_text, write_suite
-from gvr_core.methods import METHODS
-
-
-@dataclass(frozen=True)
-class InitDocument:
-    """What was written, from what."""
-
-    suite: Path
-    found: tuple[FoundData, ...]
-    next: str
-    """The command that runs it."""
+from flows import completion
+from flows.options import JsonOption
+from gvr_core.method_names import METHODS
 
 
 def init(
@@ -35,35 +23,22 @@ def init(
     ] = None,
     method: Annotated[
         list[str] | None,
-        typer.Option(help=f"Of {', '.join(METHODS)}; may be given more than once."),
+        typer.Option(
+            help=f"Of {', '.join(METHODS)}; may be given more than once.",
+            autocompletion=completion.methods,
+        ),
     ] = None,
     models: Annotated[
-        str, typer.Option(help="onboard, mobile-sam, paper, or oracle where all is labelled.")
+        str,
+        typer.Option(
+            help="onboard, mobile-sam, paper, or oracle where all is labelled.",
+            autocompletion=completion.model_sets,
+        ),
     ] = "onboard",
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a suite for a folder of your own scenes, ready to edit and to run."""
-    path = Path(f"{suite_name(folder)}.toml") if out is None else out
-    check_free(path, force)  # reading the scenes may take a while
-    found = look_at(folder)
-    text = suite_text(folder, found, query or EXAMPLES, method or ["gvr-robust"], models)
-    write_suite(path, text)
-    document = InitDocument(path, found, f"gvr run {path}")
-    if as_json:
-        print_document("init", document)
-        return
-    for data in found:
-        for scene in data.scenes:
-            asked = f"{scene.n_queries} queries" if scene.n_queries else "no labels"
-            say(
-                f"{data.layout}  {scene.name}: {scene.n_gaussians:,} Gaussians, "
-                f"{scene.n_views} views, {asked}"
-            )
-        for left in data.left_out:
-            say(f"left out  {left.name}: {left.why}")
-    say(f"Suite: {path}")
-    if any(data.layout == "capture" and data.scenes for data in found) and not query:
-        say(f"Next: put your own queries into {path}, then: {document.next}")
-    else:
-        say(f"Next: {document.next}")
+    from flows import init_commands
+
+    init_commands.init(folder, out, query or [], method or ["gvr-robust"], models, force, as_json)

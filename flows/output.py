@@ -9,17 +9,15 @@ the exit code is the same with and without.
 from __future__ import annotations
 
 import json
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 from pydantic_core import to_jsonable_python
 from rich.console import Console
 
-VERSION = 1
+from reports.sheet import Sheet, to_rich
 
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="One JSON document on standard output, for scripts.")
-]
+VERSION = 1
 
 console = Console()
 complaints = Console(stderr=True, soft_wrap=True)
@@ -54,3 +52,8 @@ def warn(text: str) -> None:
 def complain(text: str) -> None:
     """A line on standard error about something that went wrong."""
     complaints.print(f"gvr: {text}", style="red", markup=False, highlight=False)
+
+
+def show_sheet(sheet: Sheet) -> None:
+    """A table for people: numbers stay whole in 80 columns, names are folded."""
+    console.print(to_rich(sheet))

@@ -58,7 +58,8 @@ def suite_text(
     unlabelled = [data for data in found if data.layout == CAPTURE and data.scenes]
     if unlabelled and needs_world(chosen):
         raise ConfigError(
-            f"models {models!r} need the truth, which {unlabelled[0].scenes[0].name} does not state",
+            f"models {models!r} need the truth, which {unlabelled[0].scenes[0].name} does not "
+            "state",
             accepted=", ".join(name for name, m in BUNDLED.items() if not needs_world(m)),
         )
     own_queries(queries)
@@ -114,7 +115,7 @@ def _templates() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
-        autoescape=False,  # noqa: S701 - TOML, whose values are quoted by the filters
+        autoescape=False,
     )
     # TOML's basic strings and arrays of them are written as JSON writes them.
     made.filters["toml"] = lambda value: json.dumps(value, ensure_ascii=False).replace(

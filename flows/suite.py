@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +17,14 @@ from pydantic import (
 
 from datasets.captures import CAPTURES
 from datasets.registry import FOLDER, check_dataset, get_dataset
+from flows.bundled import bundled_suites
 from flows.lines import BUNDLED, Line, ModelSet, make_lines
 from flows.run_config import RunConfig
-from gvr_core.errors import ConfigError, unknown_name
+from gvr_core.errors import ConfigError, did_you_mean, unknown_name
 from gvr_core.methods import METHODS, MethodConfig, check_method, variants
 from gvr_core.models.registry import ModelConfig, check_models
 from gvr_core.rendering import get_renderer
 from gvr_core.untrusted import read_toml
-
-DEFAULT_SUITE = "bench"
 
 
 class DatasetChoice(BaseModel):
@@ -107,12 +105,6 @@ class SuiteConfig(BaseModel):
         return make_lines(self.methods, self.models)
 
 
-def bundled_suites() -> dict[str, Path]:
-    """The suites that come with the project, by name."""
-    folder = Path(str(resources.files("flows") / "suites"))
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
-
-
 def read_suite(name_or_path: str) -> SuiteConfig:
     """Read a suite: a bundled one by its name, or a TOML file by its path.
 
@@ -125,6 +117,11 @@ def read_suite(name_or_path: str) -> SuiteConfig:
     path = Path(name_or_path)
     if path.suffix == ".toml" or path.exists():
         return parse_suite(path)
+    file = f"{name_or_path}.toml"
+    if Path(file).is_file():
+        raise ConfigError(
+            f"unknown suite {name_or_path!r}; did you mean {file!r}?", accepted=", ".join(bundled)
+        )
     raise unknown_name("suite", name_or_path, [*bundled, "a path to a .toml file"])
 
 
@@ -137,8 +134,11 @@ def parse_suite(path: Path) -> SuiteConfig:
     try:
         data = read_toml(path)
     except OSError as error:
+        meant = did_you_mean(str(path), map(str, path.parent.glob("*.toml")))
         raise ConfigError(
-            f"cannot be read: {error.strerror}", path=path, accepted="a TOML file"
+            f"cannot be read: {error.strerror}{meant}",
+            path=path,
+            accepted="a TOML file; `gvr init FOLDER` writes one",
         ) from error
     except ValueError as error:
         raise ConfigError(f"is not TOML: {error}", path=path, accepted="a TOML file") from error

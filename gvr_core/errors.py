@@ -124,10 +124,14 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:
         known: The names that exist.
     """
     names = sorted(known)
-    lower = {one.lower(): one for one in reversed(names)}
-    near = get_close_matches(name.lower(), lower, n=1, cutoff=NEAR)
-    meant = f"; did you mean {lower[near[0]]!r}?" if near else ""
     return ConfigError(
-        f"unknown {kind} {name!r}{meant}",
+        f"unknown {kind} {name!r}{did_you_mean(name, names)}",
         accepted=some_of(names, MOST_NAMES) or "none",
     )
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """``; did you mean 'sam:vit_h'?`` where a known name differs in a few letters, else nothing."""
+    lower = {one.lower(): one for one in known}
+    near = get_close_matches(name.lower(), lower, n=1, cutoff=NEAR)
+    return f"; did you mean {lower[near[0]]!r}?" if near else ""

@@ -21,9 +21,7 @@ def unscored(sample: Sample, **fields: object) -> Result:
 
 def overview(result: Result, rows: list) -> str:
     file = io.StringIO()
-    Console(file=file, width=TERMINAL_WIDTH, color_system=None).print(
-        tables.overview(result, rows)
-    )
+    Console(file=file, width=TERMINAL_WIDTH, color_system=None).print(tables.overview(result, rows))
     return file.getvalue()
 
 
