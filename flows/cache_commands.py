@@ -159,9 +159,9 @@ def cache_gc(
     verb = "would go" if report.dry_run else "removed"
     say(
         f"{verb}: {report.records} results, {report.objects} objects, "
-        f"{report.temporary} unfinished files; {_size(report.bytes_freed)}. "
-        f"{report.spared} young objects spared."
+        f"{report.temporary} unfinished files; {_size(report.bytes_freed)}"
     )
+    say(f"{report.spared} young objects spared")
 
 
 def _size(count: int) -> str:

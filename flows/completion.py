@@ -13,7 +13,7 @@ from pathlib import Path
 
 import typer
 
-from flows.bundled import bundled_suites
+from flows.bundled import DEFAULT_SUITE, bundled_suites
 from flows.places import results_root
 from gvr_core.errors import GVRError
 from gvr_core.method_names import METHODS
@@ -116,10 +116,10 @@ def scenes(ctx: typer.Context, incomplete: str) -> list[str]:
     """Scenes of the suite, or of the data sets, that the line names already."""
     from flows.suite import override, read_suite, resolve_scenes
 
-    given = ctx.params
+    # An option that has no value yet keeps arguments from being parsed: they are left over.
+    named = next(iter(ctx.args), None) or ctx.params.get("suite") or DEFAULT_SUITE
     with suppress(GVRError, OSError):
-        suite = read_suite(given.get("suite") or "bench")
-        suite = override(suite, datasets=tuple(given.get("dataset") or ()))
+        suite = override(read_suite(named), datasets=tuple(ctx.params.get("dataset") or ()))
         names = dict.fromkeys(scene for _, scene in resolve_scenes(suite.datasets))
         return [name for name in names if name.startswith(incomplete)]
     return []
