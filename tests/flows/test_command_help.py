@@ -158,3 +158,12 @@ def test_without_a_result_the_next_step_is_a_run(gvr, home) -> None:
     assert code == 2 and "no results yet (accepted: `gvr run` makes one)" in err
     code, out, _ = gvr("ls")
     assert code == 0 and out.splitlines()[-1] == "Next: gvr run bench"
+
+
+def test_ctrl_c_has_the_shells_exit_code(gvr, home, monkeypatch) -> None:
+    def interrupted(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("flows.results_commands.list_results", interrupted)  # a test double
+    code, out, err = gvr("ls")
+    assert (code, out) == (130, "") and "Traceback" not in err

@@ -10,9 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from small_captures import write_capture
+from small_captures import some_views, stems, write_capture
+from transforms_files import instant_ngp, nerfstudio
 
+from datasets.inria_cameras import write_inria_cameras
+from datasets.native import read_scene
+from flows.datasets_commands import EXPORTS
 from flows.own_suite import suite_name
+from gvr_core.rendering import get_renderer
 
 
 @pytest.fixture
@@ -73,6 +78,45 @@ def test_a_capture_with_masks_is_scored_the_next_time(gvr, home, mine: Path) -> 
     (choice,) = tomllib.loads(Path("masks.toml").read_text())["datasets"]
     assert choice == {"name": "lerf_mask", "settings": {"root": str(mine)}}
     code, out, err = gvr("run", "masks.toml", "--dry-run", "--json")
+    assert code == 0, err
+
+
+def as_inria(scene: Path) -> None:
+    write_inria_cameras(scene / "cameras.json", stems(some_views()))
+    shutil.rmtree(scene / "images")  # an output folder of the training has none
+
+
+def as_nerfstudio(scene: Path) -> None:
+    (scene / "transforms.json").write_text(json.dumps(nerfstudio(some_views())))
+
+
+def as_instant_ngp(scene: Path) -> None:
+    (scene / "transforms.json").write_text(json.dumps(instant_ngp(some_views())))
+
+
+@pytest.mark.parametrize("cameras", [as_inria, as_nerfstudio, as_instant_ngp])
+def test_captures_of_every_kind_of_cameras(gvr, home, mine: Path, cameras) -> None:
+    scene = mine / "ramen"
+    shutil.rmtree(scene / "sparse")
+    cameras(scene)
+    code, out, err = gvr("init", str(scene), "--query", "a box", "--json")
+    assert (code, err) == (0, "")
+    (data,) = json.loads(out)["found"]
+    assert (data["layout"], data["scenes"][0]["n_views"]) == ("capture", 4)
+    code, _, err = gvr("run", "ramen.toml", "--dry-run")
+    assert code == 0, err
+
+
+@pytest.mark.parametrize("layout", EXPORTS)
+def test_benchmarks_in_their_layouts(gvr, home, mine: Path, layout: str) -> None:
+    root = mine.parent / "tree"
+    EXPORTS[layout](read_scene(mine / "two-boxes"), root, get_renderer("numba"))
+    code, out, err = gvr("init", str(root), "--json")
+    assert (code, err) == (0, "")
+    (data,) = json.loads(out)["found"]
+    assert (data["layout"], [scene["name"] for scene in data["scenes"]]) == (layout, ["two-boxes"])
+    assert data["scenes"][0]["n_queries"] > 0
+    code, _, err = gvr("run", "tree.toml", "--dry-run")
     assert code == 0, err
 
 
