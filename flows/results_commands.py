@@ -10,13 +10,14 @@ from flows.job import fill_mlflow
 from flows.output import console, print_document, say, show_sheet, warn
 from flows.result_document import result_document
 from gvr_core.atomic import atomic_write
-from gvr_core.errors import ConfigError, InputError, unknown_name
+from gvr_core.errors import ConfigError, InputError, did_you_mean, some_of
 from gvr_core.protocols import PROTOCOLS
 from reports import tables
 from reports.document import replace_block
+from reports.formats import NONE
 from reports.pictures import contact_sheet
 from reports.record import Result, Row
-from reports.result_io import read_result
+from reports.result_io import RESULT_FILE, read_result
 from reports.results_place import ResultsPlace
 from reports.sheet import Sheet
 
@@ -29,12 +30,13 @@ class ListedResult:
     """One result in a listing."""
 
     run_id: str
-    suite: str
-    created: str
-    scenes: int
+    suite: str | None = None
+    """Null, as all below, for one that is only behind a URL: listing fetches nothing."""
+    created: str | None = None
+    scenes: int | None = None
     """(scene, method) pairs."""
-    failed: int
-    wall_seconds: float
+    failed: int | None = None
+    wall_seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,11 @@ def find_result(name: str, root: Path | str) -> Path:
     if not known and not name:
         raise ConfigError("no results yet", path=str(place), accepted="`gvr run` makes one")
     if name and name not in known:
-        raise unknown_name("result", name, [*known, "a result's folder"])
+        newest = some_of(reversed(known)) or "none yet"
+        raise ConfigError(
+            f"unknown result {name!r}{did_you_mean(name, known)}",
+            accepted=f"{newest}, which `gvr ls` lists, or a result's folder",
+        )
     return place.folder(name or known[-1])
 
 
@@ -93,33 +99,47 @@ def list_results(root: Path | str, as_json: bool = False) -> None:
     place = ResultsPlace(root)
     listed = []
     for name in place.names():
+        if not (place.root / name / RESULT_FILE).exists():
+            listed.append(ListedResult(name))
+            continue
         try:
-            result, _ = read_result(place.folder(name))
+            result, _ = read_result(place.root / name)
         except InputError as error:  # one that is damaged does not hide the others
             warn(f"{name}: {error}")
-            continue
-        failed = sum(scene.status == "failed" for scene in result.scenes)
-        listed.append(
-            ListedResult(
-                result.run_id,
-                result.suite,
-                result.created,
-                len(result.scenes),
-                failed,
-                result.wall_seconds,
-            )
-        )
+        else:
+            listed.append(_listed(result))
     document = ResultsDocument(str(place), tuple(listed))
     if as_json:
         print_document("ls", document)
         return
-    rows = [
-        (r.run_id, r.suite, r.created[:16], str(r.scenes), str(r.failed), f"{r.wall_seconds:,.0f}")
-        for r in listed
-    ]
+    rows = [(r.run_id, *_details(r)) for r in listed]
     columns = ("result", "suite", "created", "scenes", "failed", "seconds")
     show_sheet(Sheet(f"results in {place}", columns, tuple(rows), n_names=3))
     say("Next: gvr show RESULT" if listed else "Next: gvr run bench")
+
+
+def _listed(result: Result) -> ListedResult:
+    failed = sum(scene.status == "failed" for scene in result.scenes)
+    return ListedResult(
+        result.run_id,
+        result.suite,
+        result.created,
+        len(result.scenes),
+        failed,
+        result.wall_seconds,
+    )
+
+
+def _details(listed: ListedResult) -> tuple[str, ...]:
+    if listed.created is None:
+        return ("(not here)", *[NONE] * 4)
+    return (
+        str(listed.suite),
+        listed.created[:16],
+        str(listed.scenes),
+        str(listed.failed),
+        f"{listed.wall_seconds:,.0f}",
+    )
 
 
 def show(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -131,7 +133,7 @@ def test_a_wrong_command_line_is_one_line_with_the_way_on(gvr, arguments, expect
         (("run", "--scene", "galery_0"), "did you mean 'gallery_0'?"),
         (("run", "--models", "onbord"), "did you mean 'onboard'?"),
         (("show", "20260101T000000Z-00000b"), "did you mean '20260101T000000Z-00000a'?"),
-        (("show", "elsewhere"), "(accepted: 20260101T000000Z-00000a, a result's folder)"),
+        (("show", "elsewhere"), "(accepted: 20260101T000000Z-00000a, which `gvr ls` lists"),
         (("models", "fetch", "sam:vit_n"), "did you mean 'sam:vit_"),
         (("datasets", "export", "galery", "x"), "did you mean 'gallery'?"),
         (
@@ -167,3 +169,14 @@ def test_ctrl_c_has_the_shells_exit_code(gvr, home, monkeypatch) -> None:
     monkeypatch.setattr("flows.results_commands.list_results", interrupted)  # a test double
     code, out, err = gvr("ls")
     assert (code, out) == (130, "") and "Traceback" not in err
+
+
+def test_help_and_completion_load_nothing_that_computes() -> None:
+    code = (
+        "import sys, flows.cli; "
+        "print(sorted(set(sys.modules) & {'numpy', 'torch', 'numba', 'prefect', 'mlflow'}))"
+    )
+    output = subprocess.run(
+        [sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, check=True
+    ).stdout
+    assert output.strip() == "[]"

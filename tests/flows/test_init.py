@@ -17,6 +17,7 @@ from datasets.inria_cameras import write_inria_cameras
 from datasets.native import read_scene
 from flows.datasets_commands import EXPORTS
 from flows.own_suite import suite_name
+from flows.view_session import open_scene
 from gvr_core.rendering import get_renderer
 
 
@@ -181,3 +182,8 @@ def test_names_with_quotes_and_line_breaks_stay_what_they_are(gvr, home, mine: P
     (choice,) = tomllib.loads(Path("odd.toml").read_text())["datasets"]
     assert choice["name"] == f"captures:{odd}"
     assert list(choice["settings"]["queries"]) == ["egg's = [1]"]
+
+
+def test_captures_can_be_looked_at(mine: Path) -> None:
+    data = open_scene(f"captures:{mine}/ramen", None, None)
+    assert (data.scene.name, len(data.scene.views), data.queries) == ("ramen", 4, ())
