@@ -39,11 +39,11 @@ text_segmenter = "oracle"
 CALLS: dict[str, tuple[str, ...]] = {
     "init": ("init", "scenes", "--force", "--models", "oracle"),
     "doctor": ("doctor",),
-    "run": ("run", "small.toml", "--quiet", "--no-mlflow", "--limit", "1"),
+    "run": ("run", "small.toml", "--no-mlflow", "--limit", "1"),
     "run --dry-run": ("run", "small.toml", "--dry-run"),
     "ground": (
         *("ground", "boxes.ply", "--cameras", "cameras.json", "--query", "a red box"),
-        *("--max-views", "3", "--out", "answers", "--quiet"),
+        *("--max-views", "3", "--out", "answers"),
     ),
     "ls": ("ls",),
     "show": ("show",),

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +16,8 @@ from command_calls import CALLS, Project, made_project
 
 from flows.lessons import LESSONS
 
-DOCS = Path(__file__).resolve().parents[2] / "docs" / "command_line.md"
+REPOSITORY = Path(__file__).resolve().parents[2]
+DOCS = REPOSITORY / "docs" / "command_line.md"
 SERVERS = {"view", "ui", "schedule"}
 """Commands that serve until they are interrupted, and so have no document."""
 GROUPS = {"cache", "models", "datasets"}
@@ -164,3 +168,18 @@ def test_a_check_with_something_wrong_is_still_a_document(project: Project) -> N
     assert said.code == 2
     (scene,) = json.loads(said.out)["scenes"]
     assert scene["error"] and scene["gaussians"] is None
+
+
+def test_a_process_of_its_own_prints_nothing_but_the_document(project: Project) -> None:
+    # Its Prefect and MLflow are real and start in it; what they log goes elsewhere.
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("GVR_", "PREFECT_"))}
+    done = subprocess.run(
+        [sys.executable, "-m", "flows", "run", "small.toml", "--json"],
+        cwd=project.folder,
+        env=environment | {"PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    found = json.loads(done.stdout)
+    assert found["status"] == "completed" and "runs" in found["mlflow"]
