@@ -8,9 +8,16 @@ from pathlib import Path
 
 from datasets.base import Dataset
 from datasets.captures import CAPTURES, capture_folders
+from datasets.lerf_mask import LERF_MASK
+from datasets.lerf_mask import MASKS as LERF_MASKS
+from datasets.ovs3d import MASKS as OVS3D_MASKS
+from datasets.ovs3d import OVS3D
 from datasets.recognise import CAPTURE, NATIVE, Recognised, recognise
 from datasets.registry import FOLDER, get_dataset
 from gvr_core.errors import DatasetError, InputError, some_of
+
+MARKS = {LERF_MASK: LERF_MASKS, OVS3D: OVS3D_MASKS}
+"""Layout -> the folder of masks that makes a folder one of its scenes."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +72,12 @@ def look_at(folder: Path) -> tuple[FoundData, ...]:
     found = []
     for item in dict.fromkeys(recognise(folder)):
         if item.layout != CAPTURE:
-            found.append(_read(item.layout, *_labelled(item), item.scene))
+            found.append(_read_labelled(item))
     taken = {scene.name for data in found for scene in (*data.scenes, *data.left_out)}
     bare = [name for name in capture_folders(folder) if name not in taken]
     if bare:
         name = f"{CAPTURES}{folder}"
-        found.append(_read(CAPTURE, name, None, get_dataset(name, {}), None, bare))
+        found.append(_read(CAPTURE, name, None, get_dataset(name, {}), bare))
     if not any(data.scenes for data in found):
         left = [f"{scene.name}: {scene.why}" for data in found for scene in data.left_out]
         raise DatasetError(
@@ -81,13 +88,19 @@ def look_at(folder: Path) -> tuple[FoundData, ...]:
     return tuple(found)
 
 
-def _labelled(item: Recognised) -> tuple[str, str | None, Dataset]:
-    """Name, root and reader of a layout with truth."""
-    root = str(item.root.resolve())
+def _read_labelled(item: Recognised) -> FoundData:
+    """The scenes of a layout with truth."""
+    root = item.root.resolve()
     if item.layout == NATIVE:
         name = f"{FOLDER}{root}"
-        return name, None, get_dataset(name, {})
-    return item.layout, root, get_dataset(item.layout, {"root": root})
+        return _read(NATIVE, name, None, get_dataset(name, {}))
+    dataset = get_dataset(item.layout, {"root": str(root)})
+    wanted = [item.scene] if item.scene is not None else list(dataset.scenes())
+    mark = MARKS.get(item.layout)
+    if mark is not None and item.scene is None:
+        # Scenes that papers report are listed without masks too; here those are captures.
+        wanted = [scene for scene in wanted if (root / scene / mark).is_dir()]
+    return _read(item.layout, item.layout, str(root), dataset, wanted)
 
 
 def _read(
@@ -95,12 +108,10 @@ def _read(
     name: str,
     root: str | None,
     dataset: Dataset,
-    only: str | None,
     wanted: Sequence[str] | None = None,
 ) -> FoundData:
     known = list(dataset.scenes())
-    names = [only] if only is not None else known if wanted is None else wanted
-    read = list(_scenes(dataset, names))
+    read = list(_scenes(dataset, known if wanted is None else wanted))
     scenes = tuple(item for item in read if isinstance(item, FoundScene))
     left_out = tuple(item for item in read if isinstance(item, LeftOut))
     return FoundData(layout, name, root, scenes, left_out, len(scenes) == len(known))

@@ -16,8 +16,8 @@ from flows.lines import BUNDLED, bundled_models
 from flows.own_scenes import FoundData
 from flows.suite import SuiteConfig, resolve_scenes
 from gvr_core.atomic import atomic_write
-from gvr_core.errors import ConfigError
-from gvr_core.methods import METHODS, check_method
+from gvr_core.errors import ConfigError, unknown_name
+from gvr_core.method_names import METHODS
 from gvr_core.models.registry import needs_world, require_weights
 
 EXAMPLES = ("a chair", "a plant")
@@ -52,7 +52,8 @@ def suite_text(
         ModelError: for weights that are missing.
     """
     for method in methods:
-        check_method(method)
+        if method not in METHODS:
+            raise unknown_name("method", method, METHODS)
     chosen = bundled_models(models)
     require_weights(chosen)
     unlabelled = [data for data in found if data.layout == CAPTURE and data.scenes]

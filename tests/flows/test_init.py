@@ -54,6 +54,9 @@ def test_init_and_then_run(gvr, home, mine: Path, prefect_server) -> None:
     assert answer["text"] == "a box"
     folder = Path(json.loads(out)["result"])
     assert (folder / answer["picture"]).is_file()
+    code, out, err = gvr("report", "--out", "report.html")
+    assert code == 0, err
+    assert "a box" in Path("report.html").read_text()
     code, out, _ = gvr("show", folder.name)
     assert code == 0
     assert f"captures:{mine}: what was answered" in " ".join(out.split())
@@ -61,6 +64,8 @@ def test_init_and_then_run(gvr, home, mine: Path, prefect_server) -> None:
 
 def test_a_capture_with_masks_is_scored_the_next_time(gvr, home, mine: Path) -> None:
     shutil.rmtree(mine / "two-boxes")
+    # A scene that papers report is none of LERF-Mask's here, as it has no masks.
+    shutil.copytree(mine / "ramen", mine / "figurines")
     scene = mine / "ramen"
     pictures = sorted((scene / "images").iterdir())
     (scene / "images_train").mkdir()
@@ -76,8 +81,10 @@ def test_a_capture_with_masks_is_scored_the_next_time(gvr, home, mine: Path) -> 
     found = {data["layout"]: data for data in json.loads(out)["found"]}
     assert [s["name"] for s in found["lerf_mask"]["scenes"]] == ["ramen"]
     assert [s["name"] for s in found["capture"]["left_out"]] == ["egg"]
-    (choice,) = tomllib.loads(Path("masks.toml").read_text())["datasets"]
-    assert choice == {"name": "lerf_mask", "settings": {"root": str(mine)}}
+    assert [s["name"] for s in found["capture"]["scenes"]] == ["figurines"]
+    masks, captures = tomllib.loads(Path("masks.toml").read_text())["datasets"]
+    assert masks == {"name": "lerf_mask", "scenes": ["ramen"], "settings": {"root": str(mine)}}
+    assert list(captures["settings"]["queries"]) == ["figurines"]
     code, out, err = gvr("run", "masks.toml", "--dry-run", "--json")
     assert code == 0, err
 
@@ -151,6 +158,7 @@ def test_nothing_is_overwritten_unless_told(gvr, home, mine: Path) -> None:
         (("notes",), "looks like no data set"),
         (("egg",), "none of its scenes can be run: egg: "),
         (("ramen", "--method", "gvr-robst"), "did you mean 'gvr-robust'"),
+        (("ramen", "--method", "predictions"), "unknown method 'predictions'"),
         (("ramen", "--models", "oracle"), "need the truth, which ramen does not state"),
         (("ramen", "--models", "onbord"), "did you mean 'onboard'"),
         (("ramen", "--query", " "), "1 to 400 characters"),
