@@ -73,7 +73,8 @@ def look_at(folder: Path) -> tuple[FoundData, ...]:
     for item in dict.fromkeys(recognise(folder)):
         if item.layout != CAPTURE:
             found.append(_read_labelled(item))
-    taken = {scene.name for data in found for scene in (*data.scenes, *data.left_out)}
+    taken = {scene.name for data in found for scene in data.scenes}
+    taken |= {scene.name for data in found for scene in data.left_out}
     bare = [name for name in capture_folders(folder) if name not in taken]
     if bare:
         name = f"{CAPTURES}{folder}"
