@@ -153,7 +153,7 @@ def check_filled(created: list[int]) -> None:
 
 
 def _import_all() -> None:
-    for name in ("flows.benchmark", "flows.cli", "flows.run_commands", "tasks.prefect_runtime"):
+    for name in ("flows.benchmark", "flows.cli", "tasks.prefect_runtime"):
         importlib.import_module(name)
 
 

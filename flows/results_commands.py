@@ -15,7 +15,6 @@ from gvr_core.protocols import PROTOCOLS
 from reports import tables
 from reports.document import replace_block
 from reports.formats import NONE
-from reports.pictures import contact_sheet
 from reports.record import Result, Row
 from reports.result_io import RESULT_FILE, read_result
 from reports.results_place import ResultsPlace
@@ -171,6 +170,8 @@ def show(
     else:
         print_tables(result, rows)
     if sheet is not None:
+        from reports.pictures import contact_sheet  # imports matplotlib
+
         with atomic_write(sheet) as stream:
             stream.write(contact_sheet(_one_picture_per_object(folder, result)))
 
