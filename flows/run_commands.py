@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from flows.job import Job, exit_code, fill_mlflow, not_filled, prepare
 from flows.output import complaints, print_document, say, show_sheet, warn
 from flows.places import home
-from flows.plan import PlannedLine, plan
 from flows.result_document import result_document
 from flows.results_commands import print_tables
 from flows.when import When
 from reports.mlflow_store import SyncError
 from reports.sheet import Sheet
 from tasks.store import Store
+
+if TYPE_CHECKING:
+    from flows.plan import PlannedLine  # imports the stages, and all they compute with
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,8 @@ def run(job: Job, progress: bool, as_json: bool = False) -> int:
 
 def dry_run(job: Job, as_json: bool = False) -> None:
     """``gvr run --dry-run``: what is in the store, and what a run would compute."""
+    from flows.plan import plan
+
     suite = prepare(job)
     lines = plan(suite, Store(job.store))
     to_do = sum(len(line.to_compute) for line in lines)
