@@ -53,13 +53,10 @@ def own_scene(
         raise CameraFormatError("holds no camera", path=cameras, accepted="one camera or more")
     if max_views is not None and len(named) > max_views:
         named = [named[i * len(named) // max_views] for i in range(max_views)]
-    views = tuple(View(_stem(name), _at_most(camera, max_side)) for name, camera in named)
-    for text in texts:
-        if not text.strip() or len(text) > 400:
-            raise ConfigError(f"the query {text[:60]!r}", accepted="1 to 400 characters")
+    views = tuple(View(_stem(name), at_most(camera, max_side)) for name, camera in named)
     return SceneData(
         Scene(OWN, splat.stem, gaussians, views),
-        tuple(Query(id=f"q{i}", text=text) for i, text in enumerate(texts)),
+        own_queries(texts),
         GroundTruth(objects=(), test_views=()),
         {
             "gaussians": file_digest(splat),
@@ -75,7 +72,20 @@ def _stem(name: str) -> str:
     return str(path.with_suffix("")) if path.suffix.lower() in (".jpg", ".jpeg", ".png") else name
 
 
-def _at_most(camera: Camera, side: int) -> Camera:
+def own_queries(texts: Sequence[str]) -> tuple[Query, ...]:
+    """Questions whose answers nobody knows: ``q0``, ``q1``, ...
+
+    Raises:
+        ConfigError: for a text that is empty or too long.
+    """
+    for text in texts:
+        if not text.strip() or len(text) > 400:
+            raise ConfigError(f"the query {text[:60]!r}", accepted="1 to 400 characters")
+    return tuple(Query(id=f"q{i}", text=text) for i, text in enumerate(texts))
+
+
+def at_most(camera: Camera, side: int = MAX_SIDE) -> Camera:
+    """The camera, smaller where its longer side has more pixels than ``side``."""
     scale = side / max(camera.width, camera.height)
     if scale >= 1:
         return camera

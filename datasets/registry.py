@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from datasets.base import Dataset, SceneData
 from datasets.camera_checks import is_file
+from datasets.captures import CAPTURES, CapturesDataset
 from datasets.composite import COMPOSITE, LAYOUTS, STRESS, STRESS_LAYOUTS, CompositeDataset
 from datasets.gallery import GalleryDataset
 from datasets.lerf_mask import LERF_MASK, LerfMaskDataset
@@ -155,10 +157,11 @@ def check_dataset(name: str) -> None:
         ConfigError: listing the names that are.
         PluginError: for a plugin that cannot be loaded.
     """
-    if name in DATASETS or name.startswith(FOLDER):
+    if name in DATASETS or name.startswith((FOLDER, CAPTURES)):
         return
     if not plugins.is_offered(plugins.DATASETS, name):
-        known = [*DATASETS, *plugins.offered(plugins.DATASETS), FOLDER + "PATH"]
+        offered = plugins.offered(plugins.DATASETS)
+        known = [*DATASETS, *offered, FOLDER + "PATH", CAPTURES + "PATH"]
         raise unknown_name("data set", name, known)
     plugins.load(plugins.DATASETS, name)
 
@@ -167,7 +170,7 @@ def get_dataset(name: str, settings: Mapping[str, Any]) -> Dataset:
     """The data set of that name.
 
     Args:
-        name: A registered name, ``folder:PATH``, or the name of a plugin's data set.
+        name: A registered name, ``folder:PATH``, ``captures:PATH``, or the name of a plugin's.
         settings: What the data set can be told; see :data:`DATASETS`.
 
     Raises:
@@ -176,15 +179,20 @@ def get_dataset(name: str, settings: Mapping[str, Any]) -> Dataset:
         PluginError: for a plugin that cannot be loaded, or does not take its settings.
     """
     check_dataset(name)
-    if name not in DATASETS and not name.startswith(FOLDER):
+    if name not in DATASETS and not name.startswith((FOLDER, CAPTURES)):
         return PluginDataset(plugins.load(plugins.DATASETS, name), settings)
-    make, accepted = DATASETS.get(name, (None, ()))
+    make, accepted = DATASETS.get(name) or _of_folder(name)
     unknown = sorted(set(settings) - set(accepted))
     if unknown:
         raise ConfigError(
             f"unknown setting {', '.join(unknown)} of the data set {name}",
             accepted=", ".join(accepted) or "no settings",
         )
-    if make is None:
-        return FolderDataset(Path(name.removeprefix(FOLDER)))
     return make(**settings)
+
+
+def _of_folder(name: str) -> tuple[Callable[..., Dataset], tuple[str, ...]]:
+    """How the scenes of a folder of one's own are read, and the settings that takes."""
+    if name.startswith(CAPTURES):
+        return partial(CapturesDataset, Path(name.removeprefix(CAPTURES))), ("queries",)
+    return partial(FolderDataset, Path(name.removeprefix(FOLDER))), ()

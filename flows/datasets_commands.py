@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-
-from datasets.base import Dataset, SceneData
 from datasets.cameras_file import has_cameras
-from datasets.capture import read_capture, read_images
 from datasets.composite import splats_folder
 from datasets.export_lerf_mask import export_lerf_mask
 from datasets.export_lerf_ovs import export_lerf_ovs
@@ -20,20 +15,14 @@ from datasets.export_ovs3d import export_ovs3d
 from datasets.lerf_mask import LERF_MASK
 from datasets.lerf_ovs import NAME as LERF_OVS
 from datasets.ovs3d import OVS3D
-from datasets.recognise import CAPTURE, EXPECTED, NATIVE, Recognised, recognise
-from datasets.registry import (
-    CAPTURED,
-    DATASETS,
-    FOLDER,
-    benchmark_root,
-    data_root,
-    get_dataset,
-)
+from datasets.recognise import EXPECTED
+from datasets.registry import CAPTURED, DATASETS, benchmark_root, data_root, get_dataset
 from datasets.splat_places import find_splat
-from gvr_core.errors import ConfigError, InputError, unknown_name
+from flows.output import print_document, say
+from gvr_core.errors import InputError, unknown_name
 from gvr_core.rendering import get_renderer
 
-EXIT_BAD_INPUT = 2
+NOWHERE = "nowhere: GVR_DATASETS is not set"
 
 VARIABLES = {
     "GVR_DATASETS": "benchmarks, each in a folder of its name",
@@ -62,6 +51,38 @@ class Listed:
     """Why nothing of it can be read."""
 
 
+@dataclass(frozen=True)
+class DatasetsDocument:
+    """The data sets that are known."""
+
+    datasets: tuple[Listed, ...]
+
+
+@dataclass(frozen=True)
+class Place:
+    """A folder that is looked at."""
+
+    path: Path | None
+    there: bool
+    problem: str | None
+    """Why there is no such folder to look at."""
+
+
+@dataclass(frozen=True)
+class WhereDocument:
+    """Which variables and folders are looked at."""
+
+    variables: dict[str, str | None]
+    places: dict[str, Place]
+
+
+@dataclass(frozen=True)
+class ExportDocument:
+    """Layout -> the folder of the scene in it."""
+
+    folders: dict[str, Path]
+
+
 EXPORTS: dict[str, Callable[..., Path]] = {
     LERF_OVS: export_lerf_ovs,
     LERF_MASK: export_lerf_mask,
@@ -70,7 +91,9 @@ EXPORTS: dict[str, Callable[..., Path]] = {
 """Layouts that scenes can be written in."""
 
 
-def datasets_export(dataset: str, scene: str, layouts: Sequence[str], out: Path) -> None:
+def datasets_export(
+    dataset: str, scene: str, layouts: Sequence[str], out: Path, as_json: bool = False
+) -> None:
     """``gvr datasets export``: a scene with exact truth, in published layouts.
 
     Args:
@@ -78,6 +101,7 @@ def datasets_export(dataset: str, scene: str, layouts: Sequence[str], out: Path)
         scene: Name of the scene.
         layouts: Names of the layouts; all where none is given.
         out: Gets a folder for each layout, which may be given as GVR_DATASETS then.
+        as_json: Print a document, in place of lines.
 
     Raises:
         ConfigError: for a name that is not known.
@@ -87,165 +111,64 @@ def datasets_export(dataset: str, scene: str, layouts: Sequence[str], out: Path)
         if layout not in EXPORTS:
             raise unknown_name("layout", layout, EXPORTS)
     data = get_dataset(dataset, {}).load(scene)
+    folders = {}
     for layout in layouts or EXPORTS:
-        folder = EXPORTS[layout](data, out / layout, get_renderer("numba"))
-        Console(soft_wrap=True).print(str(folder), markup=False, highlight=False)
+        folders[layout] = EXPORTS[layout](data, out / layout, get_renderer("numba"))
+        if not as_json:
+            say(str(folders[layout]))
+    if as_json:
+        print_document("datasets export", ExportDocument(folders))
 
 
 def datasets_ls(as_json: bool) -> None:
     """``gvr datasets ls``.
 
     Args:
-        as_json: Print everything that is known, in place of the table.
+        as_json: Print a document with everything that is known, in place of lines.
     """
-    listing = [_listed(name) for name in DATASETS]
+    listing = tuple(_listed(name) for name in DATASETS)
     if as_json:
-        print(json.dumps([asdict(item) for item in listing], indent=1))
+        print_document("datasets ls", DatasetsDocument(listing))
         return
     for item in listing:
         state = " (made on first use)" if item.made else ""
-        _say(f"{item.name}  {item.root or 'nowhere: GVR_DATASETS is not set'}{state}")
+        say(f"{item.name}  {item.root or NOWHERE}{state}")
         if item.problem is None:
-            _say(f"  scenes:  {_names(item.found)}")
+            say(f"  scenes:  {names(item.found)}")
         elif item.root is not None:
-            _say(f"  problem: {item.problem}")
+            say(f"  problem: {item.problem}")
         if item.missing:
-            _say(f"  missing: {_names(item.missing)}")
+            say(f"  missing: {names(item.missing)}")
 
 
-def datasets_where() -> None:
+def datasets_where(as_json: bool = False) -> None:
     """``gvr datasets where``."""
+    document = _places()
+    if as_json:
+        print_document("datasets where", document)
+        return
     for variable, meaning in VARIABLES.items():
-        _say(f"{variable} = {os.environ.get(variable) or '(not set)'}  {meaning}")
-    _say("")
-    for name in CAPTURED:
-        root = benchmark_root(name)
-        _say(f"{name}: {_there(root) if root else 'nowhere: GVR_DATASETS is not set'}")
-    _say(f"made scenes: {_there(data_root())}")
+        say(f"{variable} = {document.variables[variable] or '(not set)'}  {meaning}")
+    say("")
+    for name, place in document.places.items():
+        if place.path is None:
+            say(f"{name}: {place.problem}")
+        else:
+            say(f"{name}: {place.path}{'' if place.there else ' (not there)'}")
+
+
+def _places() -> WhereDocument:
+    roots = {name: benchmark_root(name) for name in CAPTURED} | {"made scenes": data_root()}
+    places = {
+        name: Place(None, False, NOWHERE) if root is None else Place(root, root.is_dir(), None)
+        for name, root in roots.items()
+    }
     try:
-        _say(f"captured splats: {splats_folder()}")
+        places["captured splats"] = Place(splats_folder(), True, None)
     except InputError as error:
-        _say(f"captured splats: {error}")
-
-
-def datasets_check(
-    path: Path, layout: str | None = None, splats: Path | None = None, splat: Path | None = None
-) -> int:
-    """``gvr datasets check``: read a folder as the layout it looks like.
-
-    One scene that cannot be read does not keep the others from being read.
-
-    Args:
-        path: A data set's folder, or a scene of one.
-        layout: The layout, where the folder looks like several.
-        splats: Folder of trained splats by scene.
-        splat: Trained splat of a capture.
-
-    Returns:
-        Exit code: 0, or 2 where a scene could not be read.
-
-    Raises:
-        DatasetError: for no folder, or one that looks like no data set.
-        ConfigError: for a layout that it does not look like, or several and none named.
-    """
-    chosen = _chosen(recognise(path), path, layout)
-    first = chosen[0]
-    if first.layout == CAPTURE:
-        return max(_check_capture(item, splat, splats) for item in chosen)
-    if splat is not None:
-        raise ConfigError("--splat names the splat of a single capture", accepted="--splats")
-    _say(f"{path}: {first.layout}, by {first.because}")
-    dataset = _dataset(first, splats)
-    there = tuple(dataset.scenes())
-    _say(f"found: {_names(there)}")
-    if first.layout in EXPECTED and first.scene is None:
-        expected = EXPECTED[first.layout]
-        _say(f"expected: {_names(expected)}")
-        _say(f"missing: {_names(name for name in expected if name not in there)}")
-    wanted = there if first.scene is None else (first.scene,)
-    return max(_check_scene(dataset, scene) for scene in wanted)
-
-
-def _chosen(
-    found: tuple[Recognised, ...], path: Path, layout: str | None
-) -> tuple[Recognised, ...]:
-    """What of the layouts that a folder looks like is to be read."""
-    layouts = list(dict.fromkeys(item.layout for item in found))
-    if layout is None and len(layouts) > 1:
-        reasons = ", ".join(f"{item.layout} by {item.because}" for item in found)
-        raise ConfigError(
-            f"the folder looks like {reasons}", path=path, accepted="--as, with one of them"
-        )
-    if layout is not None and layout not in layouts:
-        if layout == CAPTURE and has_cameras(path):
-            return (Recognised(CAPTURE, path, path.resolve().name, "--as"),)
-        if layout not in (*EXPECTED, NATIVE, CAPTURE):
-            raise unknown_name("layout", layout, (*EXPECTED, NATIVE, CAPTURE))
-        raise ConfigError(
-            f"the folder does not look like {layout}", path=path, accepted=", ".join(layouts)
-        )
-    return tuple(item for item in found if layout in (None, item.layout))
-
-
-def _dataset(item: Recognised, splats: Path | None) -> Dataset:
-    """The reader of a layout, on a folder."""
-    if item.layout == NATIVE:
-        return get_dataset(f"{FOLDER}{item.root}", {})
-    settings = {"root": str(item.root)}
-    if splats is not None:
-        settings["splats"] = str(splats)
-    return get_dataset(item.layout, settings)
-
-
-def _check_scene(dataset: Dataset, scene: str) -> int:
-    """Read one scene, and say what is in it."""
-    try:
-        data = dataset.load(scene)
-    except InputError as error:
-        _complain(f"{scene}: {error}")
-        return EXIT_BAD_INPUT
-    _say(f"{scene}: {_described(data)}")
-    _say_notes(data.notes)
-    return 0
-
-
-def _described(data: SceneData) -> str:
-    truth, views = data.truth, data.scene.views
-    pairs = [(view, name) for view in truth.test_views for name in truth.objects]
-    labelled = sum(truth.is_labelled(view, name) for view, name in pairs)
-    pictures = sum(view.image is not None for view in views)
-    return (
-        f"{len(data.scene.gaussians)} Gaussians, {len(views)} views ({pictures} with a picture),"
-        f" {len(truth.test_views)} test views, {len(truth.objects)} objects, {labelled} of"
-        f" {len(pairs)} pairs labelled, {len(data.queries)} queries; scored by"
-        f" {', '.join(data.protocols)}"
-    )
-
-
-def _check_capture(item: Recognised, splat: Path | None, splats: Path | None) -> int:
-    """Read a capture without labels, its cameras first: they may be right where it has no splat."""
-    name = item.scene or item.root.resolve().name
-    _say(f"{item.root}: {CAPTURE}, by {item.because}")
-    try:
-        captured = read_images(item.root)
-        pictures = sum(image.path is not None for image in captured.images)
-        _say(
-            f"{name}: {len(captured.images)} registered images ({pictures} with a picture), cameras"
-            f" from {_names(str(path) for path in captured.camera_files)}"
-        )
-        if captured.unregistered:
-            _say(
-                f"  {len(captured.unregistered)} pictures without a camera:"
-                f" {_names(captured.unregistered[:3])}"
-            )
-        _say_notes(captured.notes)
-        capture = read_capture(item.root, name, splat, splats)
-    except InputError as error:
-        _complain(f"{name}: {error}")
-        return EXIT_BAD_INPUT
-    _say(f"{name}: {len(capture.gaussians)} Gaussians from {capture.ply}")
-    _say_notes([note for note in capture.notes if note not in captured.notes])
-    return 0
+        places["captured splats"] = Place(None, False, str(error))
+    variables = {variable: os.environ.get(variable) or None for variable in VARIABLES}
+    return WhereDocument(variables, places)
 
 
 def _listed(name: str) -> Listed:
@@ -275,24 +198,6 @@ def _lacks(folder: Path, scene: str) -> list[str]:
     return lacks
 
 
-def _there(folder: Path) -> str:
-    return f"{folder}{'' if folder.is_dir() else ' (not there)'}"
-
-
-def _names(names: Iterable[str]) -> str:
-    return ", ".join(names) or "none"
-
-
-def _say_notes(notes: Sequence[str]) -> None:
-    for note in notes:
-        _say(f"  note: {note}")
-
-
-def _say(text: str) -> None:
-    Console(soft_wrap=True).print(text, markup=False, highlight=False)
-
-
-def _complain(text: str) -> None:
-    Console(stderr=True, soft_wrap=True).print(
-        f"gvr: {text}", style="red", markup=False, highlight=False
-    )
+def names(listed: Iterable[str]) -> str:
+    """Names in a line; ``none`` where there are none."""
+    return ", ".join(listed) or "none"

@@ -12,7 +12,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from rich.table import Column, Table
+from rich.text import Text
 
+from flows.exit_codes import EXIT_FAILED
+from flows.output import console, print_document, say
 from gvr_core.errors import GVRError
 
 State = Literal["ok", "note", "bad"]
@@ -31,6 +35,31 @@ class Finding:
     what: str
     state: State
     text: str
+
+
+@dataclass(frozen=True)
+class DoctorDocument:
+    """What was found."""
+
+    sound: bool
+    """Whether nothing is bad; what is worth a note is not."""
+    findings: tuple[Finding, ...]
+
+
+def doctor(store: Path | str, as_json: bool = False) -> int:
+    """``gvr doctor``; exit code 1 where something needed does not work."""
+    findings = tuple(examine(store))
+    sound = all(finding.state != "bad" for finding in findings)
+    if as_json:
+        print_document("doctor", DoctorDocument(sound, findings))
+        return 0 if sound else EXIT_FAILED
+    table = Table("", "what", Column("finding", overflow="fold"), box=None)
+    for finding in findings:
+        mark = {"ok": "[green]ok[/]", "note": "[yellow]--[/]", "bad": "[red]!![/]"}[finding.state]
+        table.add_row(mark, finding.what, Text(finding.text))
+    console.print(table)
+    say("Next: gvr run bench" if sound else "Next: mend what is marked !!, then: gvr doctor")
+    return 0 if sound else EXIT_FAILED
 
 
 def examine(store: Path | str) -> Iterator[Finding]:

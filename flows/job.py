@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict
 
+from flows.exit_codes import EXIT_BAD_INPUT, EXIT_FAILED
 from flows.run_config import check_runner, override_run
 from flows.suite import SuiteConfig, override, read_suite, resolve_scenes
 from gvr_core.models.registry import require_weights
@@ -15,9 +16,6 @@ from reports.result_io import read_result
 
 if TYPE_CHECKING:
     from flows.benchmark import BenchmarkOutcome  # imports Prefect, whose home is then chosen
-
-EXIT_FAILED = 1
-EXIT_BAD_INPUT = 2
 
 
 class Job(BaseModel):

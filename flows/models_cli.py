@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from flows import models_commands
-from gvr_core.weights.folder import models_folder
+from flows import completion
+from flows.lessons import taught
+from flows.options import JsonOption, QuietOption
 
 models_app = typer.Typer(
     help="Look after the checkpoints in the models folder (GVR_MODELS, else .gvr/models).",
@@ -15,38 +16,52 @@ models_app = typer.Typer(
 )
 
 
-@models_app.command("ls")
-def models_ls(
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Everything that is known, as JSON.")
-    ] = False,
-) -> None:
+@models_app.command("ls", **taught("models ls"))
+def models_ls(as_json: JsonOption = False) -> None:
     """List the checkpoints, their licences, and what of them is here."""
+    from flows import models_commands
+    from gvr_core.weights.folder import models_folder
+
     models_commands.models_ls(models_folder(), as_json)
 
 
-@models_app.command("fetch")
+@models_app.command("fetch", **taught("models fetch"))
 def models_fetch(
     name: Annotated[
         list[str] | None,
-        typer.Argument(help="Names as `gvr models ls` says them, or open_clip:MODEL/TAG."),
+        typer.Argument(
+            help="Names as `gvr models ls` says them, or open_clip:MODEL/TAG.",
+            autocompletion=completion.checkpoints,
+        ),
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="All that the manifests list.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars.")] = False,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Fetch checkpoints over the network; a fetch that broke off is gone on with.
 
     A file takes its name only after its digest was found right and it was read without running
     code. Nothing else of gvr uses the network.
     """
-    raise typer.Exit(models_commands.models_fetch(models_folder(), name or [], every, not quiet))
+    from flows import models_commands
+    from gvr_core.weights.folder import models_folder
+
+    code = models_commands.models_fetch(models_folder(), name or [], every, not quiet, as_json)
+    raise typer.Exit(code)
 
 
-@models_app.command("verify")
+@models_app.command("verify", **taught("models verify"))
 def models_verify(
     name: Annotated[
-        list[str] | None, typer.Argument(help="Names; all that is here where left out.")
+        list[str] | None,
+        typer.Argument(
+            help="Names; all that is here where left out.", autocompletion=completion.checkpoints
+        ),
     ] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Read checkpoints again and compare their digests; exit code 1 if one is wrong."""
-    raise typer.Exit(models_commands.models_verify(models_folder(), name or []))
+    from flows import models_commands
+    from gvr_core.weights.folder import models_folder
+
+    raise typer.Exit(models_commands.models_verify(models_folder(), name or [], as_json))

@@ -2,27 +2,90 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, TextColumn, TransferSpeedColumn
 from rich.progress import Progress as RichProgress
-from rich.table import Table
 
+from flows.exit_codes import EXIT_BAD_INPUT, EXIT_FAILED
+from flows.output import complain, complaints, print_document, say, show_sheet
 from gvr_core.errors import ConfigError, ModelError
 from gvr_core.weights.fetching import Fetched, Trust, fetch_file, with_needs
 from gvr_core.weights.folder import State, StoredFile, overall, stored
 from gvr_core.weights.manifest import Entry, WeightsFile, find_entry, known
 from gvr_core.weights.verifying import entries_of, verify
+from reports.sheet import Sheet
 
-EXIT_WRONG = 1
-EXIT_BAD_INPUT = 2
 
-console = Console(soft_wrap=True)
-complaints = Console(stderr=True, soft_wrap=True)
+@dataclass(frozen=True)
+class StoredDocument:
+    """A file of a checkpoint."""
+
+    path: Path
+    url: str | None
+    size: int | None
+    """As the manifest states it."""
+    sha256: str | None
+    recorded: bool
+    """Whether the digest was recorded at the first fetch, since nobody states it."""
+    state: str
+    bytes: int
+    """Of it that are here."""
+
+
+@dataclass(frozen=True)
+class ModelDocument:
+    """A checkpoint."""
+
+    name: str
+    role: str
+    licence: str
+    source: str
+    needs: tuple[str, ...]
+    """Checkpoints that it does not work without."""
+    state: str
+    files: tuple[StoredDocument, ...]
+
+
+@dataclass(frozen=True)
+class ModelsDocument:
+    """The checkpoints that are known."""
+
+    folder: Path
+    models: tuple[ModelDocument, ...]
+
+
+@dataclass(frozen=True)
+class FetchedDocument:
+    """What became of the files that were asked for."""
+
+    folder: Path
+    fetched: tuple[Fetched, ...]
+    failed: dict[str, str]
+    """File -> why it could not be fetched."""
+
+
+@dataclass(frozen=True)
+class VerdictDocument:
+    """What reading a file found."""
+
+    name: str
+    """The checkpoint's."""
+    file: str
+    right: bool
+    text: str
+
+
+@dataclass(frozen=True)
+class VerifiedDocument:
+    """What reading the files found."""
+
+    folder: Path
+    wrong: int
+    files: tuple[VerdictDocument, ...]
 
 
 def models_ls(folder: Path, as_json: bool) -> None:
@@ -30,20 +93,25 @@ def models_ls(folder: Path, as_json: bool) -> None:
 
     Args:
         folder: The models folder; need not exist.
-        as_json: Print everything that is known, in place of the table.
+        as_json: Print a document with everything that is known, in place of the table.
     """
     listing = {entry: stored(entry, folder) for entry in entries_of(folder).values()}
     if as_json:
-        print(json.dumps([_as_json(entry, files) for entry, files in listing.items()], indent=1))
+        models = tuple(_document(entry, files) for entry, files in listing.items())
+        print_document("models ls", ModelsDocument(folder, models))
         return
-    table = Table("name", "role", "licence", "size", "state", box=None, pad_edge=False)
-    for entry, files in listing.items():
-        table.add_row(entry.name, entry.role, entry.licence, _size_of(entry, files), _state(files))
-    Console().print(table)
-    console.print(f"in {folder}", markup=False, highlight=False)
+    rows = [
+        (entry.name, entry.role, entry.licence, _state(files), _size_of(entry, files))
+        for entry, files in listing.items()
+    ]
+    columns = ("name", "role", "licence", "state", "size")
+    show_sheet(Sheet(f"checkpoints in {folder}", columns, tuple(rows), n_names=4))
+    say("Next: gvr models fetch NAME")
 
 
-def models_fetch(folder: Path, names: Sequence[str], every: bool, progress: bool) -> int:
+def models_fetch(
+    folder: Path, names: Sequence[str], every: bool, progress: bool, as_json: bool = False
+) -> int:
     """``gvr models fetch``: bring checkpoints here, and what they need.
 
     One that cannot be fetched does not keep the others from being fetched.
@@ -53,6 +121,7 @@ def models_fetch(folder: Path, names: Sequence[str], every: bool, progress: bool
         names: Names of checkpoints.
         every: All of the manifests, in place of names.
         progress: Draw bars, where standard error is a terminal.
+        as_json: Print a document, in place of lines.
 
     Returns:
         Exit code: 0, or 2 where one could not be fetched.
@@ -70,26 +139,32 @@ def models_fetch(folder: Path, names: Sequence[str], every: bool, progress: bool
     for entry in entries:
         for each in with_needs(entry, folder):
             wanted |= {file.path: file for file in each.files}
-    code = 0
+    done: list[Fetched] = []
+    failed: dict[str, str] = {}
     for file in wanted.values():
         try:
             with _Bar(progress and complaints.is_terminal) as bar:
                 fetched = fetch_file(file, folder, bar.show)
         except ModelError as error:
-            complaints.print(f"gvr: {error}", style="red", markup=False, highlight=False)
-            code = EXIT_BAD_INPUT
+            complain(str(error))
+            failed[file.path] = str(error)
         else:
-            _say_fetched(fetched)
-    return code
+            done.append(fetched)
+            if not as_json:
+                _say_fetched(fetched)
+    if as_json:
+        print_document("models fetch", FetchedDocument(folder, tuple(done), failed))
+    return EXIT_BAD_INPUT if failed else 0
 
 
-def models_verify(folder: Path, names: Sequence[str]) -> int:
+def models_verify(folder: Path, names: Sequence[str], as_json: bool = False) -> int:
     """``gvr models verify``: read what is here again.
 
     Args:
         folder: The models folder.
         names: Names of checkpoints, all files of which have to be here; without names, whatever
             is here.
+        as_json: Print a document, in place of lines.
 
     Returns:
         Exit code: 0, or 1 where a file is wrong.
@@ -98,24 +173,28 @@ def models_verify(folder: Path, names: Sequence[str]) -> int:
         ModelError: for an unknown name.
     """
     named = [find_entry(name, folder) for name in names]
-    checked = wrong = 0
+    found: list[VerdictDocument] = []
     for entry in named or entries_of(folder).values():
         if not named and overall(stored(entry, folder)) is State.MISSING:
             continue
         for verdict in verify(entry, folder):
-            checked += 1
-            wrong += not verdict.right
-            word = "ok" if verdict.right else "WRONG"
-            console.print(
-                f"{word}  {entry.name}  {verdict.stored.file.path}: {verdict.text}",
-                style=None if verdict.right else "red",
-                markup=False,
-                highlight=False,
-            )
-            if not verdict.right:
-                console.print(f"       gvr models fetch {entry.name}", markup=False)
-    console.print(f"{checked} files read in {folder}, {wrong} wrong", markup=False, highlight=False)
-    return EXIT_WRONG if wrong else 0
+            file = verdict.stored.file.path
+            found.append(VerdictDocument(entry.name, file, verdict.right, verdict.text))
+            if not as_json:
+                _say_verdict(found[-1])
+    wrong = sum(not verdict.right for verdict in found)
+    if as_json:
+        print_document("models verify", VerifiedDocument(folder, wrong, tuple(found)))
+    else:
+        say(f"{len(found)} files read in {folder}, {wrong} wrong")
+    return EXIT_FAILED if wrong else 0
+
+
+def _say_verdict(verdict: VerdictDocument) -> None:
+    word = "ok" if verdict.right else "WRONG"
+    say(f"{word}  {verdict.name}  {verdict.file}: {verdict.text}")
+    if not verdict.right:
+        say(f"       gvr models fetch {verdict.name}")
 
 
 class _Bar:
@@ -150,14 +229,14 @@ class _Bar:
 
 def _say_fetched(fetched: Fetched) -> None:
     done = "fetched" if fetched.new else "was there"
-    console.print(f"{done}  {fetched.path}", markup=False, highlight=False)
+    say(f"{done}  {fetched.path}")
     if fetched.trust is not Trust.MANIFEST:
         said = {
             Trust.SERVER: "as the server states",
             Trust.RECORD: "as recorded at the first fetch",
             Trust.FIRST_USE: "which nobody states; recorded beside it, and held to from now on",
         }[fetched.trust]
-        console.print(f"         sha256 {fetched.sha256}, {said}", markup=False, highlight=False)
+        say(f"         sha256 {fetched.sha256}, {said}")
 
 
 def _size_of(entry: Entry, files: Sequence[StoredFile]) -> str:
@@ -183,24 +262,24 @@ def _state(files: Sequence[StoredFile]) -> str:
     return str(state)
 
 
-def _as_json(entry: Entry, files: Sequence[StoredFile]) -> dict[str, Any]:
-    return {
-        "name": entry.name,
-        "role": entry.role,
-        "licence": entry.licence,
-        "source": entry.source,
-        "needs": list(entry.needs),
-        "state": str(overall(files)),
-        "files": [
-            {
-                "path": str(item.path),
-                "url": item.file.url,
-                "size": item.file.size,
-                "sha256": item.sha256,
-                "recorded": item.recorded,
-                "state": str(item.state),
-                "bytes": item.bytes,
-            }
+def _document(entry: Entry, files: Sequence[StoredFile]) -> ModelDocument:
+    return ModelDocument(
+        name=entry.name,
+        role=entry.role,
+        licence=entry.licence,
+        source=entry.source,
+        needs=tuple(entry.needs),
+        state=str(overall(files)),
+        files=tuple(
+            StoredDocument(
+                path=item.path,
+                url=item.file.url,
+                size=item.file.size,
+                sha256=item.sha256,
+                recorded=item.recorded,
+                state=str(item.state),
+                bytes=item.bytes,
+            )
             for item in files
-        ],
-    }
+        ),
+    )

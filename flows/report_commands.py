@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-
-from flows.commands import find_result
+from flows.exit_codes import EXIT_FAILED
+from flows.output import complaints, print_document, say, show_sheet, warn
 from flows.places import home
+from flows.results_commands import find_result
 from gvr_core.atomic import atomic_write
 from gvr_core.errors import ConfigError
 from reports.result_io import read_result
 from reports.run_comparison_sheets import number_sheets, query_sheets
-from reports.sheet import to_rich
-
-console = Console()
-warnings = Console(stderr=True)
 
 
-def report(name: str, root: Path, out: Path | None, most_megabytes: float) -> Path:
+@dataclass(frozen=True)
+class ReportDocument:
+    """The page that was written."""
+
+    result: Path
+    report: Path
+    bytes: int
+
+
+def report(
+    name: str, root: Path | str, out: Path | None, most_megabytes: float, as_json: bool = False
+) -> Path:
     """``gvr report``: a result as one HTML file.
 
     Returns:
@@ -38,8 +45,11 @@ def report(name: str, root: Path, out: Path | None, most_megabytes: float) -> Pa
     folder = find_result(name, root)
     path = home() / "reports" / f"{folder.name}.html" if out is None else out
     write_page(path, report_page(folder, int(most_megabytes * 1e6)))
-    size = path.stat().st_size / 1e6
-    console.print(f"Report: {path} ({size:.1f} MB)", soft_wrap=True, highlight=False, markup=False)
+    size = path.stat().st_size
+    if as_json:
+        print_document("report", ReportDocument(folder, path, size))
+    else:
+        say(f"Report: {path} ({size / 1e6:.1f} MB)")
     return path
 
 
@@ -63,7 +73,7 @@ def write_page(path: Path, text: str) -> None:
 def compare(
     first: str,
     second: str,
-    root: Path,
+    root: Path | str,
     fail_if_drop: float | None,
     methods: Sequence[str],
     common: bool,
@@ -88,24 +98,23 @@ def compare(
     a, b = (read_result(folder) for folder in folders)
     found = compare_runs(a, b, methods, common)
     if as_json:
-        print(json.dumps(to_json(found, fail_if_drop), indent=1, allow_nan=False))
+        print_document("compare", to_json(found, fail_if_drop))
     else:
         for text in (*found.left_out, *found.notes):
-            warnings.print(f"note: {text}", style="yellow", markup=False, soft_wrap=True)
+            warn(f"note: {text}")
         for sheet in (*number_sheets(found), *query_sheets(found)):
-            console.print(to_rich(sheet))
+            show_sheet(sheet)
     if html is not None:
         from reports.html_compare import compare_page
 
         write_page(html, compare_page(found, folders, fail_if_drop))
-        warnings.print(f"Page: {html}", soft_wrap=True, highlight=False, markup=False)
+        complaints.print(f"Page: {html}", highlight=False, markup=False)
     dropped = [] if fail_if_drop is None else found.dropped(fail_if_drop)
     for number in dropped:
-        warnings.print(
+        complaints.print(
             f"dropped: {number.dataset} · {number.method} · {number.column.title}: "
             f"{100 * number.a:.1f} to {100 * number.b:.1f}, {number.drop:.1f} points",
             style="red",
             markup=False,
-            soft_wrap=True,
         )
-    return 1 if dropped else 0
+    return EXIT_FAILED if dropped else 0

@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from flows.commands import console, print_tables
 from flows.job import Job, exit_code, fill_mlflow, not_filled, prepare
+from flows.output import complaints, print_document, say, show_sheet, warn
 from flows.places import home
+from flows.result_document import result_document
+from flows.results_commands import print_tables
 from flows.when import When
 from reports.mlflow_store import SyncError, begin_store
+from reports.sheet import Sheet
 from tasks.store import Store
 
-warnings = Console(stderr=True)
+if TYPE_CHECKING:
+    from flows.plan import PlannedLine  # imports the stages, and all they compute with
 
 
-def run(job: Job, progress: bool) -> int:
+@dataclass(frozen=True)
+class PlanDocument:
+    """What a run would do."""
+
+    suite: str
+    to_compute: int
+    """Stages of all lines that are not in the store; lines that share one compute it once."""
+    lines: tuple[PlannedLine, ...]
+
+
+def run(job: Job, progress: bool, as_json: bool = False) -> int:
     """``gvr run``: run a suite, print its tables, fill MLflow.
 
     Returns:
@@ -40,32 +53,47 @@ def run(job: Job, progress: bool) -> int:
         from flows.benchmark import run_benchmark
 
         outcome = run_benchmark(suite, job.store, job.results, progress)
-    print_tables(outcome.result, outcome.rows)
-    console.print(f"\nResult: {outcome.folder}", soft_wrap=True, highlight=False)
+    if not as_json:
+        print_tables(outcome.result, outcome.rows)
+        say(f"\nResult: {outcome.folder}")
+    filled = None
     if job.tracking_uri is not None:
         try:
-            report = fill_mlflow(outcome.folder, job.tracking_uri)
-            console.print(f"MLflow: {report}", soft_wrap=True, highlight=False)
+            filled = fill_mlflow(outcome.folder, job.tracking_uri)
         except SyncError as error:
-            warnings.print(not_filled(error), style="yellow", markup=False, soft_wrap=True)
+            warn(not_filled(error))
+    if as_json:
+        content = result_document(outcome.folder, outcome.result, outcome.rows, filled)
+        print_document("run", content)
+    elif filled is not None:
+        say(f"MLflow: {filled}")
     for failure in outcome.failed:
-        warnings.print(f"failed: {failure}", style="red", markup=False, soft_wrap=True)
+        complaints.print(f"failed: {failure}", style="red", markup=False)
     return exit_code(outcome)
 
 
-def dry_run(job: Job) -> None:
+def dry_run(job: Job, as_json: bool = False) -> None:
     """``gvr run --dry-run``: what is in the store, and what a run would compute."""
     from flows.plan import plan
 
-    lines = plan(prepare(job), Store(job.store))
-    table = Table("scene", "method", "cached", "to compute", box=None)
-    for line in lines:
-        missing = ", ".join(line.to_compute) or "nothing"
-        cached = f"{len(line.stages) - len(line.to_compute)} of {len(line.stages)}"
-        table.add_row(Text(f"{line.dataset}/{line.scene}"), Text(line.line), cached, missing)
-    console.print(table)
+    suite = prepare(job)
+    lines = plan(suite, Store(job.store))
     to_do = sum(len(line.to_compute) for line in lines)
-    console.print(f"{to_do} stages to compute; lines that share a stage compute it once.")
+    if as_json:
+        print_document("run --dry-run", PlanDocument(suite.name, to_do, tuple(lines)))
+        return
+    rows = [
+        (
+            f"{line.dataset}/{line.scene}",
+            line.line,
+            ", ".join(line.to_compute) or "nothing",
+            f"{len(line.stages) - len(line.to_compute)} of {len(line.stages)}",
+        )
+        for line in lines
+    ]
+    columns = ("scene", "method", "to compute", "cached")
+    show_sheet(Sheet(f"{suite.name}: what a run would compute", columns, tuple(rows), n_names=3))
+    say(f"{to_do} stages to compute; lines that share a stage compute it once.")
 
 
 def schedule(job: Job, when: When) -> None:
@@ -81,10 +109,5 @@ def schedule(job: Job, when: When) -> None:
     with prefect_runtime(Store(job.store), home=home() / "prefect", quiet=False) as runtime:
         from flows.schedule import serve_suite
 
-        console.print(
-            f"{suite.name} runs {when}; Prefect is at {runtime.api_url}, and Ctrl-C ends it.",
-            markup=False,
-            soft_wrap=True,
-            highlight=False,
-        )
+        say(f"{suite.name} runs {when}; Prefect is at {runtime.api_url}, and Ctrl-C ends it.")
         serve_suite(job, suite.name, when)

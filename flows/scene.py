@@ -175,6 +175,7 @@ def _query_outcome(
         confidence=answer.confidence,
         seconds={"query": locate[query.id], "segment": segment[query.id]["segment"]},
         picture=picture,
+        text=query.text,
     )
 
 

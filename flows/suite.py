@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +15,16 @@ from pydantic import (
     model_validator,
 )
 
+from datasets.captures import CAPTURES
 from datasets.registry import FOLDER, check_dataset, get_dataset
+from flows.bundled import bundled_suites
 from flows.lines import BUNDLED, Line, ModelSet, make_lines
 from flows.run_config import RunConfig
-from gvr_core.errors import ConfigError, unknown_name
+from gvr_core.errors import ConfigError, did_you_mean, unknown_name
 from gvr_core.methods import MethodConfig, check_method, check_options, variants
 from gvr_core.models.registry import ModelConfig, check_models
 from gvr_core.rendering import get_renderer
 from gvr_core.untrusted import read_toml
-
-DEFAULT_SUITE = "bench"
 
 
 class DatasetChoice(BaseModel):
@@ -34,7 +33,8 @@ class DatasetChoice(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
-    """A registered name, or ``folder:PATH`` for a folder of scenes of one's own."""
+    """A registered name, or for scenes of one's own ``folder:PATH`` (in the native layout) or
+    ``captures:PATH`` (splats and cameras, without truth)."""
     scenes: tuple[str, ...] | None = None
     """Names of scenes; all of them where left out."""
     settings: dict[str, Any] = Field(default_factory=dict)
@@ -44,8 +44,10 @@ class DatasetChoice(BaseModel):
     @classmethod
     def _one_spelling(cls, name: str) -> str:
         # As the data set itself is called: results are found again by that.
-        folder = name.removeprefix(FOLDER)
-        return name if folder == name else f"{FOLDER}{Path(folder)}"
+        for kind in (FOLDER, CAPTURES):
+            if name.startswith(kind):
+                return f"{kind}{Path(name.removeprefix(kind))}"
+        return name
 
 
 class SuiteConfig(BaseModel):
@@ -104,12 +106,6 @@ class SuiteConfig(BaseModel):
         return make_lines(self.methods, self.models)
 
 
-def bundled_suites() -> dict[str, Path]:
-    """The suites that come with the project, by name."""
-    folder = Path(str(resources.files("flows") / "suites"))
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
-
-
 def read_suite(name_or_path: str) -> SuiteConfig:
     """Read a suite: a bundled one by its name, or a TOML file by its path.
 
@@ -122,6 +118,11 @@ def read_suite(name_or_path: str) -> SuiteConfig:
     path = Path(name_or_path)
     if path.suffix == ".toml" or path.exists():
         return parse_suite(path)
+    file = f"{name_or_path}.toml"
+    if Path(file).is_file():
+        raise ConfigError(
+            f"unknown suite {name_or_path!r}; did you mean {file!r}?", accepted=", ".join(bundled)
+        )
     raise unknown_name("suite", name_or_path, [*bundled, "a path to a .toml file"])
 
 
@@ -134,8 +135,11 @@ def parse_suite(path: Path) -> SuiteConfig:
     try:
         data = read_toml(path)
     except OSError as error:
+        meant = did_you_mean(str(path), map(str, path.parent.glob("*.toml")))
         raise ConfigError(
-            f"cannot be read: {error.strerror}", path=path, accepted="a TOML file"
+            f"cannot be read: {error.strerror}{meant}",
+            path=path,
+            accepted="a TOML file; `gvr init FOLDER` writes one",
         ) from error
     except ValueError as error:
         raise ConfigError(f"is not TOML: {error}", path=path, accepted="a TOML file") from error

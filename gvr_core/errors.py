@@ -23,7 +23,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
+
+NEAR = 0.7
+"""How alike a known name must be, of 1, to be taken for the one that was meant."""
+
+MOST_NAMES = 40
+"""Of the names that exist, at most so many are listed."""
 
 
 class GVRError(Exception):
@@ -114,9 +121,22 @@ def some_of(names: Iterable[str], most: int = 3) -> str:
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:
     """The error for a name that is not registered, listing those that are.
 
+    A known name that differs in a few letters is asked for: most unknown names are misspelt.
+
     Args:
         kind: What the name should name, e.g. ``"method"``.
         name: The name that was given.
         known: The names that exist.
     """
-    return ConfigError(f"unknown {kind} {name!r}", accepted=", ".join(sorted(known)) or "none")
+    names = sorted(known)
+    return ConfigError(
+        f"unknown {kind} {name!r}{did_you_mean(name, names)}",
+        accepted=some_of(names, MOST_NAMES) or "none",
+    )
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """``; did you mean 'sam:vit_h'?`` where a known name differs in a few letters, else nothing."""
+    lower = {one.lower(): one for one in known}
+    near = get_close_matches(name.lower(), lower, n=1, cutoff=NEAR)
+    return f"; did you mean {lower[near[0]]!r}?" if near else ""

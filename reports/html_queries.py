@@ -69,7 +69,7 @@ def _query_row(
         "scene": scene.scene,
         "method": scene.method,
         "query": query.query,
-        "text": first.text if first else query.query,
+        "text": first.text if first else query.text or query.query,
         "target": first.target if first else None,
         "absent": first.absent if first else False,
         "found": query.found,

@@ -117,6 +117,8 @@ class QueryOutcome(_Record):
     """Stage -> wall seconds of this query alone."""
     picture: str | None = None
     """Path of its picture, relative to the result's folder."""
+    text: str = ""
+    """The words given to the method; empty in results from before they were kept here."""
 
 
 class SceneResult(_Record):

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from rich.console import Group, RenderableType
 
-from reports.aggregate import aggregate
+from reports.aggregate import Aggregate, aggregate
+from reports.answer_sheets import answer_sheets, unscored_datasets
 from reports.comparison import ComparedLine, compare, has_references
 from reports.comparison_sheets import (
     comparison_sheets,
@@ -18,7 +19,7 @@ from reports.cost_sheets import cache_sheets, refusal_sheets, stage_sheets, timi
 from reports.headline import dataset_names, method_names
 from reports.paper_table import paper_sheets, published_datasets
 from reports.record import Result, Row
-from reports.sheet import to_markdown, to_rich
+from reports.sheet import Sheet, to_markdown, to_rich
 
 MANY_LINES = 8
 """With more lines than this on one data set, tables of every line on every scene are left out in
@@ -32,7 +33,8 @@ def overview(result: Result, rows: Sequence[Row]) -> RenderableType:
         paper = paper_sheets(
             result, aggregate(rows, result.scenes), datasets=published_datasets(result)
         )
-        return Group(*map(to_rich, paper), *few, cache(result))
+        answers = answer_sheets(result, unscored_datasets(result, rows))
+        return Group(*map(to_rich, [*paper, *answers]), *few, cache(result))
     parts = [timing(result), refusals(result, rows), stages(result), cache(result)]
     if has_references(result):
         parts = [comparison(result, rows), *parts]
@@ -42,9 +44,22 @@ def overview(result: Result, rows: Sequence[Row]) -> RenderableType:
 def headline(result: Result, rows: Sequence[Row]) -> RenderableType:
     """Method x scene: the headline numbers and their means over scenes, for the terminal.
 
-    Below those of a data set that numbers were published on stand the published ones.
+    Below those of a data set that numbers were published on stand the published ones. A data set
+    without truth has its answers instead.
     """
-    return Group(*(to_rich(s) for s in paper_sheets(result, aggregate(rows, result.scenes))))
+    return Group(*map(to_rich, _headline(result, rows, aggregate(rows, result.scenes))))
+
+
+def _headline(
+    result: Result, rows: Sequence[Row], averages: Aggregate, wide: bool = False
+) -> list[Sheet]:
+    """What a run found on each data set: scores, or answers where nothing can be scored."""
+    unscored = unscored_datasets(result, rows)
+    scored = [name for name in dataset_names(result) if name not in unscored]
+    return [
+        *paper_sheets(result, averages, wide=wide, datasets=scored),
+        *answer_sheets(result, unscored),
+    ]
 
 
 def comparison(result: Result, rows: Sequence[Row]) -> RenderableType:
@@ -106,6 +121,7 @@ def readme_block(result: Result, rows: Sequence[Row]) -> str:
     if is_large(result):
         sheets = [
             *paper_sheets(result, averages, wide=True, datasets=published_datasets(result)),
+            *answer_sheets(result, unscored_datasets(result, rows)),
             *comparisons,
             *(
                 sheet
@@ -116,7 +132,7 @@ def readme_block(result: Result, rows: Sequence[Row]) -> str:
         ]
     else:
         sheets = [
-            *paper_sheets(result, averages, wide=True),
+            *_headline(result, rows, averages, wide=True),
             *comparisons,
             *timing_sheets(result),
             *refusal_sheets(result, averages),
@@ -131,5 +147,7 @@ def is_large(result: Result) -> bool:
 
 
 def _lines(result: Result, rows: Sequence[Row]) -> list[tuple[str, list[ComparedLine]]]:
-    """Data set -> its lines, compared."""
-    return [(name, compare(result, rows, name)) for name in dataset_names(result)]
+    """Data set -> its lines, compared; those without scores have nothing to compare."""
+    unscored = unscored_datasets(result, rows)
+    names = [name for name in dataset_names(result) if name not in unscored]
+    return [(name, compare(result, rows, name)) for name in names]

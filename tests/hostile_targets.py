@@ -288,7 +288,7 @@ def _read_suite(path: Path) -> None:
 
 
 def _suite_seeds(folder: Path) -> list[bytes]:
-    from flows.suite import bundled_suites
+    from flows.bundled import bundled_suites
 
     mine = b'name="mine"\n[[datasets]]\nname="gallery"\nsettings={seeds=[1]}\n[models]\n'
     return [mine + b'encoder="random:1"\n', *_content(*bundled_suites().values())]

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from gvr_core import plugins
 from gvr_core.errors import ConfigError, unknown_name
+from gvr_core.method_names import METHODS
 from gvr_core.methods.base import Grounding, Method
 from gvr_core.methods.gvr_paper import GVRPaper, LocateConfig, SegmentConfig
 from gvr_core.methods.gvr_robust import GVRRobust
@@ -21,14 +22,6 @@ from gvr_core.robust.config import (
     RobustSegment,
 )
 from gvr_core.toolbox import Toolbox
-
-METHODS = {
-    "gvr-paper": "the paper's method",
-    "gvr-robust": "the same idea with the weak places mended, each by a switch of its own",
-    "lift": "baseline of another school: view features lifted onto the Gaussians",
-    "random-patch": "control: the paper's method with a random patch retrieved in each view",
-}
-"""Name -> one line on what it is; each can answer a question that nobody has asked before."""
 
 PREDICTIONS = "predictions"
 """Name of the method that reads someone else's answers from a folder."""

@@ -23,7 +23,7 @@ from pydantic import (
     ValidationError,
 )
 
-from gvr_core.errors import ModelError
+from gvr_core.errors import ModelError, did_you_mean
 from gvr_core.untrusted import read_toml
 from gvr_core.weights import open_clip_tags
 
@@ -188,7 +188,7 @@ def find_entry(name: str, folder: Path) -> Entry:
             return entries[canonical]
         return Entry.model_validate(open_clip_tags.entry_fields(canonical))
     raise ModelError(
-        f"no checkpoint is named {name!r}",
+        f"no checkpoint is named {name!r}{did_you_mean(name, entries)}",
         accepted=f"{', '.join(entries)}, or {open_clip_tags.PREFIX}MODEL/TAG for any of "
         "open_clip's; one's own in manifest.toml of the models folder",
     )

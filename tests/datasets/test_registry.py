@@ -39,7 +39,9 @@ def test_a_folder_without_scenes_is_refused(tmp_path: Path) -> None:
 
 
 def test_an_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match=r"'galery' \(accepted: composite, folder:PATH, gallery"):
+    with pytest.raises(
+        ConfigError, match=r"'galery'; did you mean 'gallery'\? \(accepted: captures:PATH"
+    ):
         get_dataset("galery", {})
 
 

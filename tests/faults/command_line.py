@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import shutil
 import signal
@@ -134,6 +135,7 @@ class CommandLine:
     def call(self, home: Path, *arguments: str) -> Callable[[], Any]:
         """``gvr <arguments>`` as a function for a forked child, which has everything imported."""
         environment = self.environment(home)
+        importlib.import_module("flows.run_commands")  # here once, and not in every child
 
         def called() -> None:
             from prefect.settings import temporary_settings

@@ -233,7 +233,7 @@ def test_recognise_says_what_it_accepts(tmp_path: Path):
 def listing(gvr) -> dict[str, dict[str, Any]]:
     code, out, err = gvr("datasets", "ls", "--json")
     assert (code, err) == (0, "")
-    return {item["name"]: item for item in json.loads(out)}
+    return {item["name"]: item for item in json.loads(out)["datasets"]}
 
 
 def test_ls_without_any_data(gvr, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

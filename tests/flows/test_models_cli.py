@@ -72,7 +72,7 @@ def models(tmp_path: Path, server: WeightsServer, monkeypatch: pytest.MonkeyPatc
 def states(gvr) -> dict[str, str]:
     code, out, err = gvr("models", "ls", "--json")
     assert code == 0, err
-    return {entry["name"]: entry["state"] for entry in json.loads(out)}
+    return {entry["name"]: entry["state"] for entry in json.loads(out)["models"]}
 
 
 def test_fetch_verify_damage_fetch(gvr, models, server) -> None:
@@ -134,10 +134,10 @@ def test_ls_fits_a_terminal_and_says_how_far_a_fetch_came(gvr, models, monkeypat
         file.truncate(375042383 // 2)
     code, out, _ = gvr("models", "ls")
     assert code == 0
-    table = out.splitlines()[:-1]  # the last line is the folder's name
+    table = out.splitlines()
     assert max(len(line.rstrip()) for line in table) <= 80
     (line,) = [line for line in table if "sam:vit_b" in line]
-    assert line.split() == ["sam:vit_b", "segmenter", "Apache-2.0", "375", "MB", "partial", "49%"]
+    assert line.split() == ["sam:vit_b", "segmenter", "Apache-2.0", "partial", "49%", "375", "MB"]
     (line,) = [line for line in table if "grounded_sam:swin_b" in line]
     assert "Apache-2.0" in line and "938 MB" in line and "missing" in line
 

@@ -121,8 +121,12 @@ def test_the_command_line_works_on_urls(gvr, home, s3: S3Server, tmp_path, monke
     assert gvr("cache", "verify", "--remote")[0] == 0
     code, out, _ = gvr("cache", "gc", "--remote", "--dry-run")
     assert code == 0 and "would go: 0 results, 0 objects" in out
+    s3.files().pipe_file(f"{bucket}/results/20260101T000000Z-00000a/result.json", b"{}")
+    code, out, err = gvr("ls")
+    assert (code, err) == (0, "") and "20260101T000000Z-00000a  (not here)" in out
+    s3.files().rm(f"{bucket}/results", recursive=True)
     code, _, err = gvr("show")
-    assert code == 2 and "unknown result '(newest)'" in err
+    assert code == 2 and "no results yet (accepted: `gvr run` makes one)" in err
     code, _, err = gvr("cache", "push", "--store", "s3://no-such-bucket/x")
     assert code == 1 and "bucket does not exist" in err
     code, _, err = gvr("cache", "ls", "--store", "nope://x")
