@@ -6,8 +6,6 @@ at once.
 
 from __future__ import annotations
 
-import atexit
-import gc
 import signal
 import sys
 from typing import Any
@@ -63,8 +61,6 @@ def main(arguments: list[str] | None = None) -> None:
     """Entry point: what goes wrong becomes one line and an exit code."""
     # Ending by SIGTERM unwinds like Ctrl-C, so that servers that were started are stopped.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
-    # At its end Python looks through all objects for some to collect, for a second or two.
-    atexit.register(gc.freeze)
     try:
         code = app(args=arguments, prog_name="gvr", standalone_mode=False)
     except InputError as error:
