@@ -39,9 +39,11 @@ def printable(text: str) -> str:
 
 def to_rich(sheet: Sheet) -> RenderableType:
     """The sheet for a terminal; at most `TERMINAL_WIDTH` columns wide."""
+    # The box has a space between columns; a second one where there is room.
+    room = sum(_whole_width(sheet, i) + 2 for i in range(len(sheet.columns))) <= TERMINAL_WIDTH
     table = Table(
         box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
+        padding=(0, 1 if room else 0, 0, 0),
         show_edge=False,
     )
     for i, name in enumerate(sheet.columns):
@@ -53,7 +55,7 @@ def to_rich(sheet: Sheet) -> RenderableType:
             overflow="fold",
             # Where the head is the wider one, folding it makes room.
             no_wrap=not is_name and width >= len(name),
-            min_width=None if is_name else width,
+            min_width=None if is_name else max(width, _longest_word(name)),
         )
     for row in sheet.rows:
         table.add_row(*(Text(printable(cell)) for cell in row))
@@ -63,8 +65,17 @@ def to_rich(sheet: Sheet) -> RenderableType:
 
 
 def _number_width(sheet: Sheet, column: int) -> int:
-    # Numbers never fold; when there is too little room, it is the names that do.
+    # Numbers never fold, nor words of a head; with too little room, it is the names that do.
     return max((len(row[column]) for row in sheet.rows), default=1)
+
+
+def _whole_width(sheet: Sheet, column: int) -> int:
+    """What a column takes without folding a cell or a word of its head."""
+    return max(_number_width(sheet, column), _longest_word(sheet.columns[column]))
+
+
+def _longest_word(head: str) -> int:
+    return max(map(len, head.split()), default=0)
 
 
 def to_markdown(sheet: Sheet) -> str:
