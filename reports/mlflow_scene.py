@@ -15,6 +15,7 @@ from typing import Any
 from reports.aggregate import Aggregate
 from reports.headline import HEADLINE
 from reports.mlflow_run import (
+    InputData,
     Point,
     RunContent,
     as_table,
@@ -26,8 +27,12 @@ from reports.mlflow_run import (
     metric_name,
     safe_items,
     safe_key,
+    shown_datasets,
 )
 from reports.record import QueryOutcome, Result, Row, SceneResult
+
+MAX_DATASET_NAME = 500
+"""MLflow's limit."""
 
 
 def scene_content(
@@ -43,13 +48,14 @@ def scene_content(
         summary: The averages of all rows.
     """
     width, height = item.picture_size
-    digest = hashlib.sha256(json.dumps(item.digests, sort_keys=True).encode()).hexdigest()
     tags = {
         **common_tags(result),
         "kind": "scene",
         "dataset": item.dataset,
         "scene": item.scene,
         **_line_names(item),
+        "models": ", ".join(dict.fromkeys(item.models.values())) or "none",
+        "protocols": ", ".join(dict.fromkeys(row.protocol for row in rows)) or "none",
         "status": item.status,
         **({"error": item.error} if item.error else {}),
     }
@@ -67,9 +73,8 @@ def scene_content(
     }
     table = [_query_line(query, rows) for query in item.queries]
     points, n_left_out = finite([*_scene_points(item, summary), *_query_points(item, table)])
-    source = json.dumps({"dataset": item.dataset, "scene": item.scene})
     return RunContent(
-        name=f"{item.scene} {item.method}",
+        name=f"{item.scene} · {item.method}",
         failed=item.status == "failed",
         seconds=item.prepare_seconds + sum(sum(q.seconds.values()) for q in item.queries),
         tags=safe_items(tags),
@@ -80,7 +85,29 @@ def scene_content(
             (folder / q.picture, str(Path(q.picture).parent)) for q in item.queries if q.picture
         ),
         tables={"queries.json": as_table(table)} if table else {},
-        datasets=((f"{item.dataset}/{item.scene}", digest[:32], source),) if item.digests else (),
+        datasets=inputs(result, item),
+    )
+
+
+def inputs(result: Result, item: SceneResult) -> tuple[InputData, ...]:
+    """The scene as the data that a run was given; nothing where it failed before it was read."""
+    if not item.digests:
+        return ()
+    name = shown_datasets(result)[item.dataset]
+    digest = hashlib.sha256(json.dumps(item.digests, sort_keys=True).encode()).hexdigest()
+    tags = {
+        "dataset": name,
+        "scene": item.scene,
+        **{f"digest.{part}": value for part, value in item.digests.items()},
+    }
+    profile = {"n_gaussians": item.n_gaussians, "n_views": item.n_views}
+    return (
+        InputData(
+            name=f"{name}/{item.scene}"[:MAX_DATASET_NAME],
+            digest=digest[:32],
+            source=json.dumps({"tags": tags}),
+            profile=json.dumps(profile),
+        ),
     )
 
 

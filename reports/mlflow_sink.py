@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Run
 
-LAYOUT = 4
+LAYOUT = 5
 """Version of the names and contents of runs; a sync by a newer one fills old runs again."""
 WHOLE_TAG = "gvr.synced"
 """Set last, to the layout and the digest of the record."""
@@ -279,7 +279,10 @@ class _Writer:
         if content.tables:
             shown = ", ".join(f'{{"path": "{name}", "type": "table"}}' for name in content.tables)
             tags.append(RunTag("mlflow.loggedArtifacts", f"[{shown}]"))
-        metrics = [Metric(p.key, p.value, self.start, p.step) for p in content.points]
+        metrics = [
+            Metric(p.key, p.value, self.start + round(1000 * p.seconds), p.step)
+            for p in content.points
+        ]
         for some_params in _batches(params, _ITEMS_PER_BATCH):
             client.log_batch(run_id, params=some_params)
         for some_tags in _batches(tags, _ITEMS_PER_BATCH):
@@ -288,10 +291,16 @@ class _Writer:
             client.log_batch(run_id, metrics=some_metrics)
         inputs = [
             DatasetInput(
-                Dataset(name=name, digest=digest, source_type="local", source=source),
+                Dataset(
+                    name=data.name,
+                    digest=data.digest,
+                    source_type="code",
+                    source=data.source,
+                    profile=data.profile,
+                ),
                 [InputTag("mlflow.data.context", "evaluation")],
             )
-            for name, digest, source in content.datasets
+            for data in content.datasets
         ]
         if inputs:
             client.log_inputs(run_id, inputs)
