@@ -20,14 +20,16 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from gvr_core.atomic import why_not_written
 from reports.aggregate import aggregate
 from reports.mlflow_content import run_contents
+from reports.mlflow_history import line_histories, write_histories
 from reports.mlflow_run import RunContent
 from reports.mlflow_store import (
     EXPERIMENT,
     SyncError,
-    artifact_root,
     default_tracking_uri,
+    experiment_id,
     locked,
     mlflow_client,
+    search_all,
     sqlite_database,
 )
 from reports.record import Result
@@ -115,14 +117,22 @@ def sync(
     uri = tracking_uri or default_tracking_uri()
     result, rows = read_result(result_folder)
     check_files(result_folder)  # pictures and tables go to MLflow as they are
-    contents = run_contents(result_folder, result, rows, aggregate(rows, result.scenes))
+    summary = aggregate(rows, result.scenes)
+    contents = run_contents(result_folder, result, rows, summary)
     try:
         # One writer per result; of two syncs at once the second finds everything whole.
         with locked(result_folder), mlflow_client(uri) as client:
             limited: Any = client if within is None else _Hurried(client, started + within, uri)
-            experiment_id = _experiment(limited, uri, experiment)
-            writer = _Writer(limited, uri, experiment_id, result, _digest(result_folder))
+            found = experiment_id(limited, uri, experiment)
+            if found is None:
+                raise SyncError(
+                    f"the experiment {experiment!r} is in MLflow's trash (accepted: restore it "
+                    "there, or name another)",
+                    tracking_uri=uri,
+                )
+            writer = _Writer(limited, uri, found, result, _digest(result_folder))
             parent = writer.write(contents)
+            write_histories(limited, uri, experiment, result, line_histories(result, summary))
     except (MlflowException, RequestException, SQLAlchemyError, OSError) as error:
         reason = str(error).strip().splitlines() or [type(error).__name__]
         if isinstance(error, OSError) and (database := sqlite_database(uri)) is not None:
@@ -165,38 +175,15 @@ def _digest(folder: Path) -> str:
     return f"{LAYOUT}:{hashlib.sha256((folder / SUMS_FILE).read_bytes()).hexdigest()}"
 
 
-def _experiment(client: MlflowClient, uri: str, name: str) -> str:
-    from mlflow.exceptions import MlflowException
-
-    found = client.get_experiment_by_name(name)
-    if found is None:
-        database = sqlite_database(uri)
-        # A server has an artifact store of its own; for a file it is the client who chooses.
-        root = None if database is None else artifact_root(database).as_uri()
-        try:
-            return str(client.create_experiment(name, artifact_location=root))
-        except MlflowException:
-            found = client.get_experiment_by_name(name)  # another process was faster
-            if found is None:
-                raise
-    if found.lifecycle_stage != "active":
-        raise SyncError(
-            f"the experiment {name!r} is in MLflow's trash (accepted: restore it there, or name "
-            "another)",
-            tracking_uri=uri,
-        )
-    return str(found.experiment_id)
-
-
 class _Writer:
     """Writes the runs of one result."""
 
     def __init__(
-        self, client: MlflowClient, uri: str, experiment_id: str, result: Result, digest: str
+        self, client: MlflowClient, uri: str, experiment: str, result: Result, digest: str
     ) -> None:
         self.client = client
         self.uri = uri
-        self.experiment_id = experiment_id
+        self.experiment_id = experiment
         self.result = result
         self.digest = digest
         self.start = round(datetime.fromisoformat(result.created).timestamp() * 1000)
@@ -218,7 +205,8 @@ class _Writer:
     def _known(self) -> dict[_Key, Run]:
         """The result's runs that MLflow has, one for each key."""
         known: dict[_Key, Run] = {}
-        for run in self._search():
+        filter_string = f"tags.`gvr.run_id` = '{self.result.run_id}'"
+        for run in search_all(self.client, self.experiment_id, filter_string):
             tags = run.data.tags
             key = _key(tags)
             if key not in known:
@@ -231,20 +219,6 @@ class _Writer:
             self.client.delete_run(spare.info.run_id)
             self.n_removed += 1
         return known
-
-    def _search(self) -> Iterator[Run]:
-        token = None
-        while True:
-            page = self.client.search_runs(
-                [self.experiment_id],
-                filter_string=f"tags.`gvr.run_id` = '{self.result.run_id}'",
-                max_results=1000,
-                page_token=token,
-            )
-            yield from page
-            token = page.token
-            if not token:
-                return
 
     def _open(
         self, content: RunContent, known: dict[_Key, Run], parent_id: str | None
