@@ -78,7 +78,7 @@ def _benchmark_content(
     ]
     kept, n_left_out = finite(points)
     text = readme_block(result, rows)
-    tags = {**common_tags(result), "kind": "benchmark"}
+    tags = {"kind": "benchmark", **common_tags(result)}
     if len(text) <= MAX_VALUE:  # shown on the run's page; a cut table would not be drawn
         tags["mlflow.note.content"] = text
     params = {"suite": result.suite, **dict(flatten(result.config, "config"))}

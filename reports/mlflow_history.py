@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Run
 
-ALWAYS = "n_failed"
+ALWAYS = "overall/n_failed"
 """A metric that every benchmark gives; its points say which benchmarks a history has."""
 _BATCH = 1000
 
@@ -71,14 +71,13 @@ def line_histories(result: Result, summary: Aggregate) -> list[LinePoints]:
 def _line(result: Result, summary: Aggregate, dataset: str, method: str) -> LinePoints:
     items = [item for item in result.scenes if (item.dataset, item.method) == (dataset, method)]
     line = overall_line(result, summary, dataset, method)
-    points = [Point("n_scenes", line["n_scenes"])]
-    points += [Point(name, line[name]) for name in _TIMES if name in line]
+    points = [Point(f"overall/{name}", line[name]) for name in _COUNTS if name in line]
     if not line["n_failed"]:  # a mean over fewer scenes would be another number
         for part in summary.datasets:
             if (part.dataset, part.method) == (dataset, method):
                 for metric in part.metrics:
                     for name in _names(part.protocol, metric):
-                        points.append(Point(name, line[name]))
+                        points.append(Point(f"overall/{_flat(name)}", line[name]))
     points += _scene_points(summary, dataset, method)
     kept, _ = finite([*points, Point(ALWAYS, line["n_failed"])])
     limit = result.config.get("limit")
@@ -100,7 +99,7 @@ def _line(result: Result, summary: Aggregate, dataset: str, method: str) -> Line
     return LinePoints(f"{method} · {shown} ({asked})", safe_items(tags), kept)
 
 
-_TIMES = ("prepare_seconds", "query_seconds")
+_COUNTS = ("n_scenes", "prepare_seconds", "query_seconds")
 
 
 def _series(result: Result, dataset: str, method: str, items: Sequence[SceneResult]) -> str:
@@ -124,7 +123,13 @@ def _scene_points(summary: Aggregate, dataset: str, method: str) -> Iterator[Poi
         if (part.dataset, part.method) == (dataset, method):
             for metric, mean in part.metrics.items():
                 for name in _names(part.protocol, metric):
-                    yield Point(safe_key(f"scene/{part.scene}/{name}"), _own(part.protocol, mean))
+                    key = safe_key(f"scene/{part.scene}/{_flat(name)}")
+                    yield Point(key, _own(part.protocol, mean))
+
+
+def _flat(name: str) -> str:
+    """Without slashes, at each of which MLflow's charts would begin a section."""
+    return name.replace("/", " ")
 
 
 def _own(protocol: str, mean: MetricMean) -> float:

@@ -44,7 +44,7 @@ class InputData:
 
     name: str
     digest: str
-    """At most 36 characters, MLflow's limit."""
+    """Eight digits, as MLflow's own; the whole ones are in the source."""
     source: str
     """JSON of an ``mlflow.data.code_dataset_source.CodeDatasetSource``."""
     profile: str
@@ -116,8 +116,11 @@ def flatten(config: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]
 
 
 def shown_time(result: Result) -> str:
-    """When a benchmark began, to the minute, UTC."""
-    return datetime.fromisoformat(result.created).astimezone(UTC).strftime("%Y-%m-%d %H:%M")
+    """When a benchmark began, UTC, short enough for MLflow's column of names.
+
+    The year, and when that was in the reader's own time, are in the column beside it.
+    """
+    return datetime.fromisoformat(result.created).astimezone(UTC).strftime("%m-%d %H:%M")
 
 
 def shown_datasets(result: Result) -> dict[str, str]:

@@ -49,7 +49,6 @@ def scene_content(
     """
     width, height = item.picture_size
     tags = {
-        **common_tags(result),
         "kind": "scene",
         "dataset": item.dataset,
         "scene": item.scene,
@@ -57,7 +56,9 @@ def scene_content(
         "models": ", ".join(dict.fromkeys(item.models.values())) or "none",
         "protocols": ", ".join(dict.fromkeys(row.protocol for row in rows)) or "none",
         "status": item.status,
+        **({"peak_memory_is_own": json.dumps(item.peak_is_own)} if item.stages else {}),
         **({"error": item.error} if item.error else {}),
+        **common_tags(result),  # last: MLflow shows tags in this order, and these are many
     }
     params = {
         "dataset": item.dataset,
@@ -104,7 +105,7 @@ def inputs(result: Result, item: SceneResult) -> tuple[InputData, ...]:
     return (
         InputData(
             name=f"{name}/{item.scene}"[:MAX_DATASET_NAME],
-            digest=digest[:32],
+            digest=digest[:8],
             source=json.dumps({"tags": tags}),
             profile=json.dumps(profile),
         ),
@@ -131,17 +132,17 @@ def _scene_points(item: SceneResult, summary: Aggregate) -> Iterator[Point]:
             # The protocol's own mean first; the others beside it under names of their own.
             yield Point(name, mean.class_macro if is_class_mean(part.protocol) else mean.mean)
             if mean.n_undefined:
-                yield Point(f"n_undefined/{name}", mean.n_undefined)
+                yield Point(safe_key(f"{name}_undefined"), mean.n_undefined)
             if is_main(part.protocol, metric):
-                yield Point(f"flat/{name}", mean.mean)
-                yield Point(f"class_macro/{name}", mean.class_macro)
-                yield Point(f"coverage/{name}", mean.coverage)
+                yield Point(safe_key(f"{name}_flat"), mean.mean)
+                yield Point(safe_key(f"{name}_class_macro"), mean.class_macro)
+                yield Point(safe_key(f"{name}_coverage"), mean.coverage)
             for column in HEADLINE:
                 if (column.protocol, column.metric) == (part.protocol, metric):
                     yield Point(column.key, mean.mean)
-        yield Point(f"n_rows/{safe_key(part.protocol)}", part.n_rows)
+        yield Point(metric_name(part.protocol, "n_rows"), part.n_rows)
         if part.n_absent:
-            yield Point(f"n_absent/{safe_key(part.protocol)}", part.n_absent)
+            yield Point(metric_name(part.protocol, "n_absent"), part.n_absent)
     refusal = summary.refusal(item.dataset, item.scene, item.method)
     if refusal is not None:
         yield Point("n_absent_queries", refusal.n_absent)
@@ -156,7 +157,6 @@ def _scene_points(item: SceneResult, summary: Aggregate) -> Iterator[Point]:
         yield Point("found", sum(query.found for query in item.queries) / len(item.queries))
     if item.stages:
         yield Point("peak_memory_mb", item.peak_bytes / 1e6)
-        yield Point("peak_memory_is_own", float(item.peak_is_own))
     for stage in item.stages:
         name = safe_key(stage.stage)
         yield Point(f"stage_seconds/{name}", stage.seconds)

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 EXPERIMENT = "gvr-bench"
 """The experiment that runs go to by default."""
 
+_KIND_TAG, _KIND = "mlflow.experimentKind", "custom_model_development"
+# Experiments with runs; MLflow's other kind has chats and prompts.
+
 # One retry and five seconds: an outage costs seconds. MLflow's own defaults cost minutes, and a
 # server that asks for a pause of an hour would get it.
 _IMPATIENT = {
@@ -167,7 +170,7 @@ def experiment_id(client: MlflowClient, uri: str, name: str) -> str | None:
         # A server has an artifact store of its own; for a file it is the client who chooses.
         root = None if database is None else artifact_root(database).as_uri()
         try:
-            return str(client.create_experiment(name, artifact_location=root))
+            return str(client.create_experiment(name, root, tags={_KIND_TAG: _KIND}))
         except MlflowException:
             found = client.get_experiment_by_name(name)  # another process was faster
             if found is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -49,17 +50,15 @@ def test_nights_are_points_of_one_line(sample: Sample, store: LocalStore, tmp_pa
         runs = histories(client)
         assert set(runs) == {"gvr-paper · rooms (2 scenes)", "lift · rooms (2 scenes)"}
         paper = runs["gvr-paper · rooms (2 scenes)"]
-        found = points(client, paper, "miou")
+        found = points(client, paper, "overall/miou")
         assert [point.value for point in found] == pytest.approx([0.4] * 3)
         assert [point.step for point in found] == [1, 2, 3]
-        assert {b.timestamp - a.timestamp for a, b in zip(found, found[1:], strict=False)} == {
-            24 * 3600 * 1000
-        }
+        assert {b.timestamp - a.timestamp for a, b in pairwise(found)} == {24 * 3600 * 1000}
         assert points(client, paper, "scene/kitchen/miou")[0].value == pytest.approx(0.6)
         # lift failed in the garden: its mean would be one over the kitchen alone.
         lift = runs["lift · rooms (2 scenes)"].data.metrics
-        assert lift["n_failed"] == 1.0
-        assert "miou" not in lift
+        assert lift["overall/n_failed"] == 1.0
+        assert "overall/miou" not in lift
         assert lift["scene/kitchen/miou"] == 0.5
 
 
@@ -81,7 +80,7 @@ def test_a_night_that_was_lost_comes_later(
     for i in (0, 2, 1):
         sync(folders[i], store.uri)
     with mlflow_client(store.uri) as client:
-        found = points(client, histories(client)["gvr-paper · rooms (2 scenes)"], "miou")
+        found = points(client, histories(client)["gvr-paper · rooms (2 scenes)"], "overall/miou")
     assert [point.step for point in found] == [1, 3, 2]
 
 
@@ -97,7 +96,7 @@ def test_histories_that_were_deleted_are_made_again(
     for folder in folders:
         assert sync(folder, store.uri).n_unchanged == 5
     with mlflow_client(store.uri) as client:
-        found = points(client, histories(client)["gvr-paper · rooms (2 scenes)"], "miou")
+        found = points(client, histories(client)["gvr-paper · rooms (2 scenes)"], "overall/miou")
     assert len(found) == 2
 
 
@@ -125,12 +124,13 @@ def test_what_does_not_compare_is_another_line(
     sample: Sample, store: LocalStore, tmp_path: Path, changes: dict[str, object]
 ) -> None:
     sync(night(sample, tmp_path, 1), store.uri)
-    result, rows, _ = sample
+    result, rows, pictures = sample
     other = result.model_copy(update={"run_id": "other", **changes})
-    kept = [
-        r for r in rows if any((s.scene, s.method) == (r.scene, r.method) for s in other.scenes)
-    ]
-    sync(write_result(tmp_path / "other", other, kept), store.uri)
+    lines = {(item.scene, item.method) for item in other.scenes}
+    kept = [row for row in rows if (row.scene, row.method) in lines]
+    shown = {query.picture for item in other.scenes for query in item.queries}
+    drawn = {name: content for name, content in pictures.items() if name in shown}
+    sync(write_result(tmp_path / "other", other, kept, drawn), store.uri)
     assert len(everything(store, OVER_TIME)) == 4
 
 
