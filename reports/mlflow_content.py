@@ -70,10 +70,11 @@ def _benchmark_content(
             lines.append(line)
             points += line_points(result, summary, dataset, method, line)
     n_failed = sum(item.status == "failed" for item in result.scenes)
-    points += [
+    points = [
         Point("wall_seconds", result.wall_seconds),
         Point("n_scenes", len(result.scenes)),
         Point("n_failed", n_failed),
+        *points,
         *_system_points(result),
     ]
     kept, n_left_out = finite(points)

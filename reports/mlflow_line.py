@@ -53,25 +53,33 @@ def overall_line(result: Result, summary: Aggregate, dataset: str, method: str) 
 def line_points(
     result: Result, summary: Aggregate, dataset: str, method: str, line: dict[str, Any]
 ) -> Iterator[Point]:
-    """A line as metrics of the benchmark's run; only main numbers have their other means there."""
+    """A line as metrics of the benchmark's run.
+
+    Only main numbers have their other means there, and what has a short name has no other.
+    """
     group = line_group(result, dataset, method)
-    main = main_names(summary, dataset, method)
-    for name, value in line.items():
+    main, doubled = _names(summary, dataset, method)
+    first = [c.key for c in HEADLINE if c.key in line]  # MLflow's table keeps the order
+    for name in dict.fromkeys([*first, *line]):
+        value = line[name]
         ending = next((e for e in _OTHER_MEANS if name.endswith(e)), "")
-        if isinstance(value, (int, float)) and (not ending or name.removesuffix(ending) in main):
+        plain = name.removesuffix(ending)
+        shown = plain not in doubled and (not ending or plain in main)
+        if shown and isinstance(value, (int, float)):
             yield Point(safe_key(f"{group}/{name}"), value)
 
 
-def main_names(summary: Aggregate, dataset: str, method: str) -> set[str]:
-    """The names in MLflow of a line's main numbers."""
-    names: set[str] = set()
+def _names(summary: Aggregate, dataset: str, method: str) -> tuple[set[str], set[str]]:
+    """The names of a line's main numbers, and the long names of those that have a short one."""
+    main: set[str] = set()
+    doubled: set[str] = set()
     for part in summary.datasets:
         if (part.dataset, part.method) == (dataset, method):
             for metric in part.metrics:
-                names |= set(short_names(part.protocol, metric))
-                if is_main(part.protocol, metric):
-                    names.add(metric_name(part.protocol, metric))
-    return names
+                name, short = metric_name(part.protocol, metric), short_names(part.protocol, metric)
+                main |= {name, *short} if short or is_main(part.protocol, metric) else set()
+                doubled |= {name} if short else set()
+    return main, doubled
 
 
 def short_names(protocol: str, metric: str) -> list[str]:

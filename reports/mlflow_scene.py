@@ -124,9 +124,20 @@ def _line_names(item: SceneResult) -> dict[str, str]:
 
 
 def _scene_points(item: SceneResult, summary: Aggregate) -> Iterator[Point]:
-    for part in summary.scenes:
-        if (part.dataset, part.scene, part.method) != (item.dataset, item.scene, item.method):
-            continue
+    """The scene's numbers; MLflow's table shows them in this order."""
+    parts = [
+        part
+        for part in summary.scenes
+        if (part.dataset, part.scene, part.method) == (item.dataset, item.scene, item.method)
+    ]
+    for column in HEADLINE:
+        for part in parts:
+            if column.protocol == part.protocol and column.metric in part.metrics:
+                yield Point(column.key, part.metrics[column.metric].mean)
+    yield Point("n_queries", len(item.queries))
+    if item.status != "failed":
+        yield from _cost_points(item)
+    for part in parts:
         for metric, mean in part.metrics.items():
             name = metric_name(part.protocol, metric)
             # The protocol's own mean first; the others beside it under names of their own.
@@ -137,9 +148,6 @@ def _scene_points(item: SceneResult, summary: Aggregate) -> Iterator[Point]:
                 yield Point(safe_key(f"{name}_flat"), mean.mean)
                 yield Point(safe_key(f"{name}_class_macro"), mean.class_macro)
                 yield Point(safe_key(f"{name}_coverage"), mean.coverage)
-            for column in HEADLINE:
-                if (column.protocol, column.metric) == (part.protocol, metric):
-                    yield Point(column.key, mean.mean)
         yield Point(metric_name(part.protocol, "n_rows"), part.n_rows)
         if part.n_absent:
             yield Point(metric_name(part.protocol, "n_absent"), part.n_absent)
@@ -148,15 +156,20 @@ def _scene_points(item: SceneResult, summary: Aggregate) -> Iterator[Point]:
         yield Point("n_absent_queries", refusal.n_absent)
         yield Point("n_absent_refused", refusal.n_refused)
         yield Point("n_present_refused", refusal.n_present_refused)
-    yield Point("n_queries", len(item.queries))
-    if item.status == "failed":
-        return
+    if item.status != "failed":
+        yield from _stage_points(item)
+
+
+def _cost_points(item: SceneResult) -> Iterator[Point]:
     yield Point("prepare_seconds", item.prepare_seconds)
     if item.queries:
         yield Point("query_seconds", item.query_seconds)
         yield Point("found", sum(query.found for query in item.queries) / len(item.queries))
     if item.stages:
         yield Point("peak_memory_mb", item.peak_bytes / 1e6)
+
+
+def _stage_points(item: SceneResult) -> Iterator[Point]:
     for stage in item.stages:
         name = safe_key(stage.stage)
         yield Point(f"stage_seconds/{name}", stage.seconds)
