@@ -48,16 +48,17 @@ def main() -> int:
         places = pages(store, benchmarks[0])
         with start_server(0, store=store) as server, sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=chromium, args=ARGUMENTS)
-            for size, ending in ((DESKTOP, ""), (PHONE, "_phone")):
-                for what, place in places.items():
+            for size, ending, shown in ((DESKTOP, "", places), (PHONE, "_phone", ("run",))):
+                for what in shown:
                     # Choices of columns and charts are kept by the browser: each page has its own.
                     context = browser.new_context(viewport={"width": size[0], "height": size[1]})
                     context.add_init_script(QUIET)
                     page = context.new_page()
-                    opened(page, f"{server.url}/#/{place}", narrow=size == PHONE)
+                    opened(page, f"{server.url}/#/{places[what]}", narrow=size == PHONE)
                     prepare = PREPARED.get(what)
                     if prepare is not None:
                         prepare(page)
+                        page.mouse.move(0, 0)  # what it points at shows tools
                         page.wait_for_timeout(SETTLED)
                     path = arguments.out / f"mlflow_{what}{ending}.png"
                     save(page, path, tall=False, most_bytes=MOST_BYTES)
@@ -102,10 +103,10 @@ def opened(page, address: str, narrow: bool) -> None:
 
 
 def with_columns(page) -> None:
-    """The newest benchmark's scenes, and columns with their numbers."""
+    """The newest benchmark's scenes, with their numbers in place of what is the same for all."""
     page.locator("[data-component-id$='runnamecellrenderer.tsx_46']").first.click()
     page.get_by_role("button", name="Columns", exact=True).click()
-    for column in ("miou", "iou_3d", "query_seconds"):
+    for column in ("Dataset", "Source", "Models", "scene", "label", "miou", "iou_3d", "revision"):
         page.get_by_placeholder("Search columns").fill(column)
         page.wait_for_timeout(SETTLED // 4)
         row = page.locator(".du-bois-light-tree-treenode").filter(
