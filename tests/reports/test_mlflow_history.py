@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 from killable_server import Server
@@ -14,7 +15,7 @@ from record_samples import Sample, make_sample
 
 from reports.mlflow_history import history_experiment
 from reports.mlflow_sink import sync
-from reports.mlflow_store import EXPERIMENT, LocalStore, mlflow_client
+from reports.mlflow_store import EXPERIMENT, LocalStore, SyncError, mlflow_client
 from reports.record import Result
 from reports.result_io import write_result
 
@@ -154,6 +155,30 @@ def test_a_double_of_a_lost_answer_is_removed(
         client.create_run(run.info.experiment_id, start_time=1, tags=run.data.tags)
     sync(tmp_path / "20250101T020000Z-000000", store.uri)
     assert everything(store, OVER_TIME) == before
+
+
+def test_continues_where_it_broke_off(
+    sample: Sample, store: LocalStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = night(sample, tmp_path, 1)
+    real = MlflowClient.log_batch
+
+    def failing(self: MlflowClient, run_id: str, *arguments: Any, **named: Any) -> Any:
+        if self.get_run(run_id).data.tags["kind"] == "history":
+            raise OSError("disk full")
+        return real(self, run_id, *arguments, **named)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(MlflowClient, "log_batch", failing)
+        with pytest.raises(SyncError, match="disk full"):
+            sync(folder, store.uri)
+    assert sync(folder, store.uri).n_unchanged == 5
+    with mlflow_client(store.uri) as client:
+        runs = histories(client)
+        assert len(runs) == 2
+        assert all(run.info.status == "FINISHED" for run in runs.values())
+        found = points(client, runs["gvr-paper · rooms (2 scenes)"], "overall/miou")
+    assert [(point.step, point.value) for point in found] == [(1, pytest.approx(0.4))]
 
 
 def test_over_http_as_into_the_file(sample: Sample, server: Server, tmp_path: Path) -> None:
