@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from itertools import islice
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -47,8 +47,9 @@ WHOLE_TAG = "gvr.synced"
 FILL_SECONDS = 300.0
 """A run waits no longer than this for MLflow to be filled; ``gvr sync`` waits for ever."""
 
-_METRICS_PER_BATCH = 1000
+_METRICS_PER_BATCH = 800
 _ITEMS_PER_BATCH = 100
+"""MLflow takes 100 parameters, 100 tags, and 1000 things in all in one request."""
 _T = TypeVar("_T")
 _Key = tuple[str, ...]
 
@@ -257,12 +258,14 @@ class _Writer:
             Metric(p.key, p.value, self.start + round(1000 * p.seconds), p.step)
             for p in content.points
         ]
-        for some_params in _batches(params, _ITEMS_PER_BATCH):
-            client.log_batch(run_id, params=some_params)
-        for some_tags in _batches(tags, _ITEMS_PER_BATCH):
-            client.log_batch(run_id, tags=some_tags)
-        for some_metrics in _batches(metrics, _METRICS_PER_BATCH):
-            client.log_batch(run_id, metrics=some_metrics)
+        batches = zip_longest(
+            _batches(metrics, _METRICS_PER_BATCH),
+            _batches(params, _ITEMS_PER_BATCH),
+            _batches(tags, _ITEMS_PER_BATCH),
+            fillvalue=[],
+        )
+        for some_metrics, some_params, some_tags in batches:
+            client.log_batch(run_id, some_metrics, some_params, some_tags)
         inputs = [
             DatasetInput(
                 Dataset(
