@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,6 +22,7 @@ from reports.mlflow_store import EXPERIMENT, LocalStore, SyncError, mlflow_clien
 from reports.record import Result
 from reports.result_io import write_result
 
+REPOSITORY = Path(__file__).resolve().parents[2]
 OVER_TIME = history_experiment(EXPERIMENT)
 
 
@@ -179,6 +183,24 @@ def test_continues_where_it_broke_off(
         assert all(run.info.status == "FINISHED" for run in runs.values())
         found = points(client, runs["gvr-paper · rooms (2 scenes)"], "overall/miou")
     assert [(point.step, point.value) for point in found] == [(1, pytest.approx(0.4))]
+
+
+def test_two_syncs_at_once_share_their_histories(
+    sample: Sample, store: LocalStore, tmp_path: Path
+) -> None:
+    folders = [night(sample, tmp_path, day) for day in (1, 2)]
+    code = "import sys; from reports.mlflow_sink import sync; sync(Path(sys.argv[1]), sys.argv[2])"
+    command = [sys.executable, "-c", f"from pathlib import Path; {code}"]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    started = [
+        subprocess.Popen([*command, str(folder), store.uri], env=environment) for folder in folders
+    ]
+    assert [process.wait(timeout=120) for process in started] == [0, 0]
+    with mlflow_client(store.uri) as client:
+        runs = histories(client)
+        assert len(everything(store, OVER_TIME)) == len(runs) == 2
+        found = points(client, runs["gvr-paper · rooms (2 scenes)"], "overall/miou")
+    assert sorted(point.step for point in found) == [1, 2]
 
 
 def test_over_http_as_into_the_file(sample: Sample, server: Server, tmp_path: Path) -> None:
