@@ -83,7 +83,7 @@ def show_evidence(page, wide: bool) -> None:
     target.evaluate("node => node.scrollIntoView()")
 
 
-def save(page, path: Path, tall: bool) -> None:
+def save(page, path: Path, tall: bool, most_bytes: int = MOST_BYTES) -> None:
     """The screen, or two of them, as a PNG of few colours that is not too large for a document."""
     size = page.viewport_size
     if tall:
@@ -94,7 +94,7 @@ def save(page, path: Path, tall: bool) -> None:
     for colours in (256, 128, 64):
         image = Image.open(path).convert("RGB")
         image.quantize(colours, dither=Image.Dither.NONE).save(path, optimize=True)
-        if path.stat().st_size <= MOST_BYTES:
+        if path.stat().st_size <= most_bytes:
             break
     print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from prefect import flow
 from prefect.states import Completed, Failed, State
@@ -20,7 +20,10 @@ from reports.environment import describe_environment
 from reports.record import Result, Row
 from reports.result_io import new_run_id
 from reports.results_place import ResultsPlace
+from reports.system_load import LoadSampler
 from tasks.store import Store
+
+StartedBy = Literal["hand", "schedule"]
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,7 @@ def benchmark_flow(
     results: str,
     placement: Placement,
     progress: bool = False,
+    started_by: StartedBy = "hand",
 ) -> State[BenchmarkOutcome]:
     """Run a suite and write its result record.
 
@@ -62,6 +66,7 @@ def benchmark_flow(
         results: Folder of the results, or its URL.
         placement: How its scenes are handed to the task runner.
         progress: Show progress bars.
+        started_by: Who started it.
 
     Returns:
         The outcome; ``Failed`` where a scene failed, naming it and its error.
@@ -72,7 +77,8 @@ def benchmark_flow(
     config = SuiteConfig.model_validate(suite)
     start, created = time.perf_counter(), datetime.now(UTC)
     scenes = resolve_scenes(config.datasets)
-    outcomes = run_scenes(config, scenes, store, run_id, placement, progress)
+    with LoadSampler() as sampler:
+        outcomes = run_scenes(config, scenes, store, run_id, placement, progress)
     result = Result(
         run_id=run_id,
         suite=config.name,
@@ -81,6 +87,8 @@ def benchmark_flow(
         config=config.model_dump(mode="json"),
         environment=describe_environment(),
         scenes=tuple(outcome.result for outcome in outcomes),
+        started_by=started_by,
+        system=sampler.load(),
     )
     rows = tuple(row for outcome in outcomes for row in outcome.rows)
     pictures = stored_pictures(outcomes, Store(store))
@@ -92,7 +100,11 @@ def benchmark_flow(
 
 
 def run_benchmark(
-    suite: SuiteConfig, store: Path | str, results: Path | str, progress: bool = False
+    suite: SuiteConfig,
+    store: Path | str,
+    results: Path | str,
+    progress: bool = False,
+    started_by: StartedBy = "hand",
 ) -> BenchmarkOutcome:
     """Run a suite in the Prefect that :func:`tasks.prefect_runtime.prefect_runtime` set up.
 
@@ -101,6 +113,7 @@ def run_benchmark(
         store: Root of the artifact store, or its URL.
         results: Folder of the results, or its URL; the new one is made in there.
         progress: Show progress bars.
+        started_by: Who started it.
 
     Raises:
         ConfigError: for a suite that cannot run; nothing is written then.
@@ -113,6 +126,7 @@ def run_benchmark(
             str(results),
             placement,
             progress,
+            started_by,
             return_state=True,
         )
     outcome = state.result(raise_on_failure=False)

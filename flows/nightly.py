@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from prefect import flow, get_run_logger
 from prefect.artifacts import create_markdown_artifact
+from prefect.context import FlowRunContext
 from prefect.states import Cancelled, Completed, Failed, State
 
 from flows.benchmark import run_benchmark
@@ -83,7 +84,9 @@ def nightly(
     try:
         # The kernel lets go of it however the run ends, so no slot stays taken.
         with file_lock(lock, timeout=0), prefect_runtime(known, quiet=False):
-            outcome = run_benchmark(config, job.store, job.results)
+            outcome = run_benchmark(
+                config, job.store, job.results, started_by="schedule" if _is_due() else "hand"
+            )
     except StoreError as error:
         if str(lock) not in str(error):
             raise
@@ -102,6 +105,12 @@ def nightly(
     if outcome.failed:
         return Failed(message="\n".join(outcome.failed))
     return Completed(message=f"Result: {outcome.folder}")
+
+
+def _is_due() -> bool:
+    """Whether a schedule started this run; else somebody did, in Prefect's pages or command."""
+    context = FlowRunContext.get()
+    return context is not None and context.flow_run is not None and context.flow_run.auto_scheduled
 
 
 def _key(suite: str) -> str:

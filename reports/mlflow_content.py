@@ -6,15 +6,16 @@ on its children too, because a filter in MLflow's pages drops children that lack
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from reports.aggregate import Aggregate
 from reports.comparison import ComparedLine, compare, has_references
-from reports.headline import HEADLINE, dataset_names, method_names
+from reports.headline import dataset_names, method_names
 from reports.html_report import report_page
+from reports.mlflow_line import line_points, overall_line
 from reports.mlflow_run import (
     MAX_VALUE,
     Point,
@@ -23,12 +24,11 @@ from reports.mlflow_run import (
     common_tags,
     finite,
     flatten,
-    is_class_mean,
-    metric_name,
     safe_items,
     safe_key,
+    shown_time,
 )
-from reports.mlflow_scene import scene_content
+from reports.mlflow_scene import inputs, scene_content
 from reports.record import Result, Row
 from reports.result_io import RESULT_FILE, ROWS_FILE, SUMS_FILE, TABLE_FILE
 from reports.tables import readme_block
@@ -66,28 +66,25 @@ def _benchmark_content(
     points: list[Point] = []
     for dataset in dataset_names(result):
         for method in method_names(result, dataset):
-            line = _overall_line(result, summary, dataset, method)
+            line = overall_line(result, summary, dataset, method)
             lines.append(line)
-            group = _group(result, dataset, method)
-            points += [
-                Point(safe_key(f"{group}/{name}"), value)
-                for name, value in line.items()
-                if isinstance(value, (int, float))
-            ]
+            points += line_points(result, summary, dataset, method, line)
     n_failed = sum(item.status == "failed" for item in result.scenes)
-    points += [
+    points = [
         Point("wall_seconds", result.wall_seconds),
         Point("n_scenes", len(result.scenes)),
         Point("n_failed", n_failed),
+        *points,
+        *_system_points(result),
     ]
     kept, n_left_out = finite(points)
     text = readme_block(result, rows)
-    tags = {**common_tags(result), "kind": "benchmark"}
+    tags = {"kind": "benchmark", **common_tags(result)}
     if len(text) <= MAX_VALUE:  # shown on the run's page; a cut table would not be drawn
         tags["mlflow.note.content"] = text
     params = {"suite": result.suite, **dict(flatten(result.config, "config"))}
     return RunContent(
-        name=f"{result.suite} {result.run_id}",
+        name=f"{result.suite} {shown_time(result)}",
         failed=n_failed > 0,
         seconds=result.wall_seconds,
         tags=safe_items(tags),
@@ -98,7 +95,17 @@ def _benchmark_content(
         tables=_tables(result, rows, lines),
         texts={"summary.md": text},
         made={"report.html": partial(report_page, folder)},
+        datasets=tuple(dict.fromkeys(d for item in result.scenes for d in inputs(result, item))),
     )
+
+
+def _system_points(result: Result) -> Iterator[Point]:
+    """MLflow's pages show what is called so in a tab of its own, over time."""
+    if result.system is not None:
+        for name, values in result.system.values.items():
+            moments = zip(result.system.seconds, values, strict=True)
+            for step, (seconds, value) in enumerate(moments):
+                yield Point(safe_key(f"system/{name}"), value, step, seconds)
 
 
 def _tables(
@@ -139,40 +146,3 @@ def _flat(line: ComparedLine) -> dict[str, Any]:
         "lowest_scene": line.lowest[0] if line.lowest else None,
         "n_pairs": difference.n_pairs if difference else None,
     }
-
-
-def _group(result: Result, dataset: str, method: str) -> str:
-    """What the metrics of a line begin with: MLflow takes no name with the dot between parts."""
-    item = next(s for s in result.scenes if (s.dataset, s.method) == (dataset, method))
-    return "/".join(filter(None, (dataset, item.model_set, item.shown_label)))
-
-
-def _overall_line(result: Result, summary: Aggregate, dataset: str, method: str) -> dict[str, Any]:
-    line: dict[str, Any] = {"dataset": dataset, "method": method}
-    for part in summary.datasets:
-        if (part.dataset, part.method) == (dataset, method):
-            for metric, mean in part.metrics.items():
-                name = metric_name(part.protocol, metric)
-                aliases = [
-                    c.key for c in HEADLINE if (c.protocol, c.metric) == (part.protocol, metric)
-                ]
-                for alias in dict.fromkeys([name, *aliases]):
-                    own = mean.class_macro if is_class_mean(part.protocol) else mean.scene_macro
-                    line[alias] = own
-                    line[f"{alias}_flat"] = mean.scene_macro
-                    line[f"{alias}_class_macro"] = mean.class_macro
-                    line[f"{alias}_micro"] = mean.micro
-    done = [
-        item
-        for item in result.scenes
-        if (item.dataset, item.method, item.status) == (dataset, method, "completed")
-    ]
-    line["n_scenes"] = len(done)
-    line["n_failed"] = sum(
-        (item.dataset, item.method, item.status) == (dataset, method, "failed")
-        for item in result.scenes
-    )
-    if done:
-        line["prepare_seconds"] = sum(item.prepare_seconds for item in done) / len(done)
-        line["query_seconds"] = sum(item.query_seconds for item in done) / len(done)
-    return line

@@ -10,14 +10,16 @@ import hashlib
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from gvr_core.protocols import PROTOCOLS
 from reports.headline import HEADLINE
-from reports.record import Result
+from reports.record import Environment, Result
 
 MAX_KEY = 250
 MAX_VALUE = 5000
@@ -32,6 +34,21 @@ class Point:
     key: str
     value: float
     step: int = 0
+    seconds: float = 0.0
+    """When, after the start of the benchmark."""
+
+
+@dataclass(frozen=True)
+class InputData:
+    """A scene as MLflow's data sets are: which it is, without where it lies on a machine."""
+
+    name: str
+    digest: str
+    """Eight digits, as MLflow's own; the whole ones are in the source."""
+    source: str
+    """JSON of an ``mlflow.data.code_dataset_source.CodeDatasetSource``."""
+    profile: str
+    """JSON of its sizes."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +71,8 @@ class RunContent:
     """File name -> text."""
     made: dict[str, Callable[[], str]] = field(default_factory=dict)
     """File name -> what makes its text, where that takes a while: only for a run that is filled."""
-    datasets: tuple[tuple[str, str, str], ...] = ()
-    """(name, digest, JSON of where it comes from)."""
+    datasets: tuple[InputData, ...] = ()
+    """What it was run on."""
 
 
 def metric_name(protocol: str, metric: str) -> str:
@@ -98,15 +115,42 @@ def flatten(config: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]
             yield name, value
 
 
+def shown_time(result: Result) -> str:
+    """When a benchmark began, UTC, short enough for MLflow's column of names.
+
+    The year, and when that was in the reader's own time, are in the column beside it.
+    """
+    return datetime.fromisoformat(result.created).astimezone(UTC).strftime("%m-%d %H:%M")
+
+
+def shown_datasets(result: Result) -> dict[str, str]:
+    """Data set -> its name in MLflow: of a folder the last part, where that is clear."""
+    names = list(dict.fromkeys(item.dataset for item in result.scenes))
+    short = {name: re.split(r"[/\\]", name.removeprefix("folder:"))[-1] or name for name in names}
+    counts = Counter(short.values())
+    return {name: given if counts[given] == 1 else name for name, given in short.items()}
+
+
+def machine_name(environment: Environment) -> str:
+    """A machine by what it computes with; it is not called by its own name, which is private."""
+    parts = [f"{environment.processor}, {environment.cpu_count} CPUs", environment.gpu]
+    return ", ".join(filter(None, parts))
+
+
 def common_tags(result: Result) -> dict[str, str]:
     """The tags that stand on a benchmark's run and on all runs below it."""
     environment = result.environment
+    revision = (environment.git_revision or "unknown")[:8]
     tags = {
         "gvr.run_id": result.run_id,
         "suite": result.suite,
+        "started_by": result.started_by or "unknown",
+        "machine": machine_name(environment),
+        "revision": f"{revision}+" if environment.git_dirty else revision,
         "git_revision": environment.git_revision or "unknown",
         "git_dirty": json.dumps(environment.git_dirty),
-        "mlflow.source.name": "gvr",
+        "mlflow.source.name": f"gvr run {result.suite}",
+        "mlflow.source.type": "JOB" if result.started_by == "schedule" else "LOCAL",
         "python": environment.python,
         "platform": environment.platform,
         "processor": environment.processor,

@@ -15,6 +15,7 @@ from typing import Any
 from reports.aggregate import Aggregate
 from reports.headline import HEADLINE
 from reports.mlflow_run import (
+    InputData,
     Point,
     RunContent,
     as_table,
@@ -26,8 +27,12 @@ from reports.mlflow_run import (
     metric_name,
     safe_items,
     safe_key,
+    shown_datasets,
 )
 from reports.record import QueryOutcome, Result, Row, SceneResult
+
+MAX_DATASET_NAME = 500
+"""MLflow's limit."""
 
 
 def scene_content(
@@ -43,15 +48,17 @@ def scene_content(
         summary: The averages of all rows.
     """
     width, height = item.picture_size
-    digest = hashlib.sha256(json.dumps(item.digests, sort_keys=True).encode()).hexdigest()
     tags = {
-        **common_tags(result),
         "kind": "scene",
         "dataset": item.dataset,
         "scene": item.scene,
         **_line_names(item),
+        "models": ", ".join(dict.fromkeys(item.models.values())) or "none",
+        "protocols": ", ".join(dict.fromkeys(row.protocol for row in rows)) or "none",
         "status": item.status,
+        **({"peak_memory_is_own": json.dumps(item.peak_is_own)} if item.stages else {}),
         **({"error": item.error} if item.error else {}),
+        **common_tags(result),  # last: MLflow shows tags in this order, and these are many
     }
     params = {
         "dataset": item.dataset,
@@ -67,9 +74,8 @@ def scene_content(
     }
     table = [_query_line(query, rows) for query in item.queries]
     points, n_left_out = finite([*_scene_points(item, summary), *_query_points(item, table)])
-    source = json.dumps({"dataset": item.dataset, "scene": item.scene})
     return RunContent(
-        name=f"{item.scene} {item.method}",
+        name=f"{item.scene} · {item.method}",
         failed=item.status == "failed",
         seconds=item.prepare_seconds + sum(sum(q.seconds.values()) for q in item.queries),
         tags=safe_items(tags),
@@ -80,7 +86,29 @@ def scene_content(
             (folder / q.picture, str(Path(q.picture).parent)) for q in item.queries if q.picture
         ),
         tables={"queries.json": as_table(table)} if table else {},
-        datasets=((f"{item.dataset}/{item.scene}", digest[:32], source),) if item.digests else (),
+        datasets=inputs(result, item),
+    )
+
+
+def inputs(result: Result, item: SceneResult) -> tuple[InputData, ...]:
+    """The scene as the data that a run was given; nothing where it failed before it was read."""
+    if not item.digests:
+        return ()
+    name = shown_datasets(result)[item.dataset]
+    digest = hashlib.sha256(json.dumps(item.digests, sort_keys=True).encode()).hexdigest()
+    tags = {
+        "dataset": name,
+        "scene": item.scene,
+        **{f"digest.{part}": value for part, value in item.digests.items()},
+    }
+    profile = {"n_gaussians": item.n_gaussians, "n_views": item.n_views}
+    return (
+        InputData(
+            name=f"{name}/{item.scene}"[:MAX_DATASET_NAME],
+            digest=digest[:8],
+            source=json.dumps({"tags": tags}),
+            profile=json.dumps(profile),
+        ),
     )
 
 
@@ -96,40 +124,52 @@ def _line_names(item: SceneResult) -> dict[str, str]:
 
 
 def _scene_points(item: SceneResult, summary: Aggregate) -> Iterator[Point]:
-    for part in summary.scenes:
-        if (part.dataset, part.scene, part.method) != (item.dataset, item.scene, item.method):
-            continue
+    """The scene's numbers; MLflow's table shows them in this order."""
+    parts = [
+        part
+        for part in summary.scenes
+        if (part.dataset, part.scene, part.method) == (item.dataset, item.scene, item.method)
+    ]
+    for column in HEADLINE:
+        for part in parts:
+            if column.protocol == part.protocol and column.metric in part.metrics:
+                yield Point(column.key, part.metrics[column.metric].mean)
+    yield Point("n_queries", len(item.queries))
+    if item.status != "failed":
+        yield from _cost_points(item)
+    for part in parts:
         for metric, mean in part.metrics.items():
             name = metric_name(part.protocol, metric)
             # The protocol's own mean first; the others beside it under names of their own.
             yield Point(name, mean.class_macro if is_class_mean(part.protocol) else mean.mean)
             if mean.n_undefined:
-                yield Point(f"n_undefined/{name}", mean.n_undefined)
+                yield Point(safe_key(f"{name}_undefined"), mean.n_undefined)
             if is_main(part.protocol, metric):
-                yield Point(f"flat/{name}", mean.mean)
-                yield Point(f"class_macro/{name}", mean.class_macro)
-                yield Point(f"coverage/{name}", mean.coverage)
-            for column in HEADLINE:
-                if (column.protocol, column.metric) == (part.protocol, metric):
-                    yield Point(column.key, mean.mean)
-        yield Point(f"n_rows/{safe_key(part.protocol)}", part.n_rows)
+                yield Point(safe_key(f"{name}_flat"), mean.mean)
+                yield Point(safe_key(f"{name}_class_macro"), mean.class_macro)
+                yield Point(safe_key(f"{name}_coverage"), mean.coverage)
+        yield Point(metric_name(part.protocol, "n_rows"), part.n_rows)
         if part.n_absent:
-            yield Point(f"n_absent/{safe_key(part.protocol)}", part.n_absent)
+            yield Point(metric_name(part.protocol, "n_absent"), part.n_absent)
     refusal = summary.refusal(item.dataset, item.scene, item.method)
     if refusal is not None:
         yield Point("n_absent_queries", refusal.n_absent)
         yield Point("n_absent_refused", refusal.n_refused)
         yield Point("n_present_refused", refusal.n_present_refused)
-    yield Point("n_queries", len(item.queries))
-    if item.status == "failed":
-        return
+    if item.status != "failed":
+        yield from _stage_points(item)
+
+
+def _cost_points(item: SceneResult) -> Iterator[Point]:
     yield Point("prepare_seconds", item.prepare_seconds)
     if item.queries:
         yield Point("query_seconds", item.query_seconds)
         yield Point("found", sum(query.found for query in item.queries) / len(item.queries))
     if item.stages:
         yield Point("peak_memory_mb", item.peak_bytes / 1e6)
-        yield Point("peak_memory_is_own", float(item.peak_is_own))
+
+
+def _stage_points(item: SceneResult) -> Iterator[Point]:
     for stage in item.stages:
         name = safe_key(stage.stage)
         yield Point(f"stage_seconds/{name}", stage.seconds)

@@ -13,21 +13,23 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from itertools import islice
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from gvr_core.atomic import why_not_written
 from reports.aggregate import aggregate
 from reports.mlflow_content import run_contents
+from reports.mlflow_history import line_histories, write_histories
 from reports.mlflow_run import RunContent
 from reports.mlflow_store import (
     EXPERIMENT,
     SyncError,
-    artifact_root,
     default_tracking_uri,
+    experiment_id,
     locked,
     mlflow_client,
+    search_all,
     sqlite_database,
 )
 from reports.record import Result
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Run
 
-LAYOUT = 4
+LAYOUT = 5
 """Version of the names and contents of runs; a sync by a newer one fills old runs again."""
 WHOLE_TAG = "gvr.synced"
 """Set last, to the layout and the digest of the record."""
@@ -45,8 +47,9 @@ WHOLE_TAG = "gvr.synced"
 FILL_SECONDS = 300.0
 """A run waits no longer than this for MLflow to be filled; ``gvr sync`` waits for ever."""
 
-_METRICS_PER_BATCH = 1000
+_METRICS_PER_BATCH = 800
 _ITEMS_PER_BATCH = 100
+"""MLflow takes 100 parameters, 100 tags, and 1000 things in all in one request."""
 _T = TypeVar("_T")
 _Key = tuple[str, ...]
 
@@ -115,14 +118,22 @@ def sync(
     uri = tracking_uri or default_tracking_uri()
     result, rows = read_result(result_folder)
     check_files(result_folder)  # pictures and tables go to MLflow as they are
-    contents = run_contents(result_folder, result, rows, aggregate(rows, result.scenes))
+    summary = aggregate(rows, result.scenes)
+    contents = run_contents(result_folder, result, rows, summary)
     try:
         # One writer per result; of two syncs at once the second finds everything whole.
         with locked(result_folder), mlflow_client(uri) as client:
             limited: Any = client if within is None else _Hurried(client, started + within, uri)
-            experiment_id = _experiment(limited, uri, experiment)
-            writer = _Writer(limited, uri, experiment_id, result, _digest(result_folder))
+            found = experiment_id(limited, uri, experiment)
+            if found is None:
+                raise SyncError(
+                    f"the experiment {experiment!r} is in MLflow's trash (accepted: restore it "
+                    "there, or name another)",
+                    tracking_uri=uri,
+                )
+            writer = _Writer(limited, uri, found, result, _digest(result_folder))
             parent = writer.write(contents)
+            write_histories(limited, uri, experiment, result, line_histories(result, summary))
     except (MlflowException, RequestException, SQLAlchemyError, OSError) as error:
         reason = str(error).strip().splitlines() or [type(error).__name__]
         if isinstance(error, OSError) and (database := sqlite_database(uri)) is not None:
@@ -165,38 +176,15 @@ def _digest(folder: Path) -> str:
     return f"{LAYOUT}:{hashlib.sha256((folder / SUMS_FILE).read_bytes()).hexdigest()}"
 
 
-def _experiment(client: MlflowClient, uri: str, name: str) -> str:
-    from mlflow.exceptions import MlflowException
-
-    found = client.get_experiment_by_name(name)
-    if found is None:
-        database = sqlite_database(uri)
-        # A server has an artifact store of its own; for a file it is the client who chooses.
-        root = None if database is None else artifact_root(database).as_uri()
-        try:
-            return str(client.create_experiment(name, artifact_location=root))
-        except MlflowException:
-            found = client.get_experiment_by_name(name)  # another process was faster
-            if found is None:
-                raise
-    if found.lifecycle_stage != "active":
-        raise SyncError(
-            f"the experiment {name!r} is in MLflow's trash (accepted: restore it there, or name "
-            "another)",
-            tracking_uri=uri,
-        )
-    return str(found.experiment_id)
-
-
 class _Writer:
     """Writes the runs of one result."""
 
     def __init__(
-        self, client: MlflowClient, uri: str, experiment_id: str, result: Result, digest: str
+        self, client: MlflowClient, uri: str, experiment: str, result: Result, digest: str
     ) -> None:
         self.client = client
         self.uri = uri
-        self.experiment_id = experiment_id
+        self.experiment_id = experiment
         self.result = result
         self.digest = digest
         self.start = round(datetime.fromisoformat(result.created).timestamp() * 1000)
@@ -218,7 +206,8 @@ class _Writer:
     def _known(self) -> dict[_Key, Run]:
         """The result's runs that MLflow has, one for each key."""
         known: dict[_Key, Run] = {}
-        for run in self._search():
+        filter_string = f"tags.`gvr.run_id` = '{self.result.run_id}'"
+        for run in search_all(self.client, self.experiment_id, filter_string):
             tags = run.data.tags
             key = _key(tags)
             if key not in known:
@@ -231,20 +220,6 @@ class _Writer:
             self.client.delete_run(spare.info.run_id)
             self.n_removed += 1
         return known
-
-    def _search(self) -> Iterator[Run]:
-        token = None
-        while True:
-            page = self.client.search_runs(
-                [self.experiment_id],
-                filter_string=f"tags.`gvr.run_id` = '{self.result.run_id}'",
-                max_results=1000,
-                page_token=token,
-            )
-            yield from page
-            token = page.token
-            if not token:
-                return
 
     def _open(
         self, content: RunContent, known: dict[_Key, Run], parent_id: str | None
@@ -279,19 +254,30 @@ class _Writer:
         if content.tables:
             shown = ", ".join(f'{{"path": "{name}", "type": "table"}}' for name in content.tables)
             tags.append(RunTag("mlflow.loggedArtifacts", f"[{shown}]"))
-        metrics = [Metric(p.key, p.value, self.start, p.step) for p in content.points]
-        for some_params in _batches(params, _ITEMS_PER_BATCH):
-            client.log_batch(run_id, params=some_params)
-        for some_tags in _batches(tags, _ITEMS_PER_BATCH):
-            client.log_batch(run_id, tags=some_tags)
-        for some_metrics in _batches(metrics, _METRICS_PER_BATCH):
-            client.log_batch(run_id, metrics=some_metrics)
+        metrics = [
+            Metric(p.key, p.value, self.start + round(1000 * p.seconds), p.step)
+            for p in content.points
+        ]
+        batches = zip_longest(
+            _batches(metrics, _METRICS_PER_BATCH),
+            _batches(params, _ITEMS_PER_BATCH),
+            _batches(tags, _ITEMS_PER_BATCH),
+            fillvalue=[],
+        )
+        for some_metrics, some_params, some_tags in batches:
+            client.log_batch(run_id, some_metrics, some_params, some_tags)
         inputs = [
             DatasetInput(
-                Dataset(name=name, digest=digest, source_type="local", source=source),
+                Dataset(
+                    name=data.name,
+                    digest=data.digest,
+                    source_type="code",
+                    source=data.source,
+                    profile=data.profile,
+                ),
                 [InputTag("mlflow.data.context", "evaluation")],
             )
-            for name, digest, source in content.datasets
+            for data in content.datasets
         ]
         if inputs:
             client.log_inputs(run_id, inputs)

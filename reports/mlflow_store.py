@@ -19,9 +19,13 @@ from reports.telemetry import telemetry_variables
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
+    from mlflow.entities import Run
 
 EXPERIMENT = "gvr-bench"
 """The experiment that runs go to by default."""
+
+_KIND_TAG, _KIND = "mlflow.experimentKind", "custom_model_development"
+# Experiments with runs; MLflow's other kind has chats and prompts.
 
 # One retry and five seconds: an outage costs seconds. MLflow's own defaults cost minutes, and a
 # server that asks for a pause of an hour would get it.
@@ -185,6 +189,37 @@ def _create_beside(database: Path) -> None:
 def artifact_root(database: Path) -> Path:
     """Where the artifacts of an SQLite store lie; MLflow's own default is the working folder."""
     return database.parent / "artifacts"
+
+
+def experiment_id(client: MlflowClient, uri: str, name: str) -> str | None:
+    """MLflow's id of an experiment, made where missing; None where it is in MLflow's trash."""
+    from mlflow.exceptions import MlflowException
+
+    found = client.get_experiment_by_name(name)
+    if found is None:
+        database = sqlite_database(uri)
+        # A server has an artifact store of its own; for a file it is the client who chooses.
+        root = None if database is None else artifact_root(database).as_uri()
+        try:
+            return str(client.create_experiment(name, root, tags={_KIND_TAG: _KIND}))
+        except MlflowException:
+            found = client.get_experiment_by_name(name)  # another process was faster
+            if found is None:
+                raise
+    return str(found.experiment_id) if found.lifecycle_stage == "active" else None
+
+
+def search_all(client: MlflowClient, experiment: str, filter_string: str) -> Iterator[Run]:
+    """All runs of an experiment that a filter lets through, page by page."""
+    token = None
+    while True:
+        page = client.search_runs(
+            [experiment], filter_string=filter_string, max_results=1000, page_token=token
+        )
+        yield from page
+        token = page.token
+        if not token:
+            return
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 SCHEMA_VERSION = 1
 """Version of the records in this file."""
@@ -187,6 +187,22 @@ class Environment(_Record):
     packages: dict[str, str]
 
 
+class SystemLoad(_Record):
+    """What the machine was doing while the benchmark ran."""
+
+    seconds: tuple[Seconds, ...]
+    """When each sample was taken, after the start."""
+    values: dict[str, tuple[float, ...]]
+    """Name as in MLflow's system metrics, with its unit -> one value for each sample."""
+
+    @model_validator(mode="after")
+    def _as_many_values_as_samples(self) -> SystemLoad:
+        for name, values in self.values.items():
+            if len(values) != len(self.seconds):
+                raise ValueError(f"{name} has {len(values)} values at {len(self.seconds)} times")
+        return self
+
+
 class Result(_Record):
     """A benchmark run."""
 
@@ -201,3 +217,7 @@ class Result(_Record):
     """The resolved configuration, complete: every default is written out."""
     environment: Environment
     scenes: tuple[SceneResult, ...]
+    started_by: Literal["hand", "schedule"] | None = None
+    """Who started it; None in results from before it was noted, and of `gvr score`."""
+    system: SystemLoad | None = None
+    """None where it was not sampled, or the run was over before the first sample."""

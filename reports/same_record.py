@@ -9,7 +9,7 @@ from typing import Any
 from gvr_core.atomic import file_digest
 from reports.result_io import ROWS_FILE, read_result
 
-OWN_TOP = ("run_id", "created", "wall_seconds", "environment")
+OWN_TOP = ("run_id", "created", "wall_seconds", "environment", "started_by", "system")
 """Fields of a result that each run has of its own."""
 OWN_SCENE = ("prepare_seconds", "query_seconds", "attempts")
 OWN_STAGE = (
@@ -22,10 +22,10 @@ OWN_QUERY = ("seconds",)
 def differences(first: Path, second: Path) -> list[str]:
     """What differs between two results' folders: fields of the record, rows, pictures, evidence.
 
-    All but the record is compared byte by byte. Of the record all is compared
-    but times, peak memory, whether a stage was cached and what was found damaged then, how often
-    a scene was tried, the run's own names, its environment, and the ``run`` table of its
-    configuration, which says where it was computed.
+    All but the record is compared byte by byte. Of the record all is compared but times, peak
+    memory, whether a stage was cached and what was found damaged then, how often a scene was
+    tried, the run's own names and who started it, its environment and the load of its machine,
+    and the ``run`` table of its configuration, which says where it was computed.
 
     Args:
         first: Folder of a result.

@@ -136,6 +136,7 @@ def test_a_schedule_runs_again_and_again(tmp_path: Path, environment: dict[str, 
     assert [s.status for s in first.scenes] == ["completed"] * 2
     assert {stage.state for s in first.scenes for stage in s.stages} == {"computed"}
     assert {stage.state for s in second.scenes for stage in s.stages} == {"cached"}
+    assert first.started_by == "schedule"
     assert (tmp_path / "home" / "mlflow").is_dir()
     assert psutil.wait_procs(everything, timeout=30)[1] == []
 

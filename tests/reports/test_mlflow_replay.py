@@ -62,7 +62,7 @@ def reference(_empty_database: Path, tmp_path_factory: pytest.TempPathFactory) -
 
 @pytest.mark.parametrize(
     ("operation", "calls"),
-    [("create_run", 2), ("log_batch", 1), ("log_batch", 8), ("log_artifact", 3), ("set_tag", 2)],
+    [("create_run", 2), ("log_batch", 1), ("log_batch", 4), ("log_artifact", 3), ("set_tag", 2)],
 )
 def test_continues_where_it_broke_off(
     result_folder: Path,

@@ -100,6 +100,28 @@ def test_names_of_summaries_do_not_collide(contents: list[RunContent]) -> None:
         assert len(keys) == len(set(keys))
 
 
+def test_a_number_with_a_short_name_has_no_other_in_the_benchmark(
+    contents: list[RunContent],
+) -> None:
+    keys = {point.key for point in contents[0].points}
+    assert {"rooms/gvr-paper/miou", "rooms/gvr-paper/miou_class_macro"} <= keys
+    assert "rooms/gvr-paper/flags_3d/1/recall" in keys
+    assert "rooms/gvr-paper/flags_3d/1/recall_micro" not in keys
+    assert not [key for key in keys if "gvr.in_scene_2d/1/iou" in key]
+    table = contents[0].tables["summary.json"]
+    assert "flags_3d/1/recall_micro" in table["columns"]
+
+
+def test_what_people_look_for_comes_first(contents: list[RunContent]) -> None:
+    parent, kitchen, *_ = contents
+    assert [point.key for point in kitchen.points[:3]] == ["acc", "miou", "iou_3d"]
+    assert next(iter(kitchen.tags)) == "kind"
+    assert parent.name == "smoke 01-02 03:04"
+    assert kitchen.name == "kitchen · gvr-paper"
+    assert kitchen.tags["peak_memory_is_own"] == "false"
+    assert kitchen.tags["revision"] == "01234567"
+
+
 def test_a_foreign_protocol_gets_names_of_its_own(sample: Sample, tmp_path: Path) -> None:
     result, _, _ = sample
     rows = [

@@ -8,8 +8,10 @@ import pytest
 from mlflow_contents import artifacts, runs_of
 from record_samples import PLANE, Sample, row, scene_result
 
+from reports.mlflow_run import shown_datasets
 from reports.mlflow_sink import sync
 from reports.mlflow_store import EXPERIMENT, LocalStore, SyncError, mlflow_client
+from reports.record import SystemLoad
 from reports.result_check import ResultError
 from reports.result_io import write_result
 
@@ -35,10 +37,10 @@ def test_metrics_are_the_records(result_folder: Path, store: LocalStore) -> None
             "iou_3d": 0.6,
             "flags_3d/1/recall": 0.675,
             "gvr.in_scene_2d/1/acc_at_0.25": 1.0,
-            "flat/gvr.in_scene_2d/1/acc_peak": 2 / 3,
-            "class_macro/gvr.in_scene_2d/1/acc_peak": 0.75,
-            "coverage/gvr.in_scene_2d/1/acc_peak": 1.0,
-            "n_undefined/flags_3d/1/location_error": 1.0,
+            "gvr.in_scene_2d/1/acc_peak_flat": 2 / 3,
+            "gvr.in_scene_2d/1/acc_peak_class_macro": 0.75,
+            "gvr.in_scene_2d/1/acc_peak_coverage": 1.0,
+            "flags_3d/1/location_error_undefined": 1.0,
             "n_absent_refused": 1.0,
             "found": 2 / 3,
             "prepare_seconds": 12.5,
@@ -104,6 +106,42 @@ def test_params_inputs_and_environment(result_folder: Path, store: LocalStore) -
     assert run.data.tags["mlflow.source.git.commit"].startswith("0123456789abcdef")
     assert run.data.tags["headline.acc"] == f"acc_peak of {PLANE}"
     assert [item.dataset.name for item in run.inputs.dataset_inputs] == ["rooms/kitchen"]
+
+
+def test_the_load_of_the_machine_is_drawn_over_the_run(
+    sample: Sample, store: LocalStore, tmp_path: Path
+) -> None:
+    result, rows, pictures = sample
+    load = SystemLoad(seconds=(1.0, 2.5), values={"cpu_utilization_percentage": (50.0, 75.0)})
+    result = result.model_copy(update={"system": load, "started_by": "schedule"})
+    report = sync(write_result(tmp_path / "loaded", result, rows, pictures), store.uri)
+    with mlflow_client(store.uri) as client:
+        run = client.get_run(report.parent_run)
+        points = client.get_metric_history(report.parent_run, "system/cpu_utilization_percentage")
+    drawn = [(p.step, p.timestamp - run.info.start_time, p.value) for p in points]
+    assert sorted(drawn) == [(0, 1000, 50.0), (1, 2500, 75.0)]
+    assert run.data.tags["started_by"] == "schedule"
+    assert run.data.tags["mlflow.source.type"] == "JOB"
+
+
+def test_the_benchmark_has_all_scenes_as_inputs(result_folder: Path, store: LocalStore) -> None:
+    report = sync(result_folder, store.uri)
+    with mlflow_client(store.uri) as client:
+        inputs = client.get_run(report.parent_run).inputs.dataset_inputs
+    assert sorted(given.dataset.name for given in inputs) == ["rooms/garden", "rooms/kitchen"]
+    assert json.loads(inputs[0].dataset.profile) == {"n_gaussians": 12345, "n_views": 7}
+
+
+def test_folders_are_called_by_their_last_part(sample: Sample) -> None:
+    result, _, _ = sample
+    scene = result.scenes[0]
+
+    def named(*datasets: str) -> list[str]:
+        scenes = tuple(scene.model_copy(update={"dataset": name}) for name in datasets)
+        return list(shown_datasets(result.model_copy(update={"scenes": scenes})).values())
+
+    assert named("rooms", "folder:/srv/data/mine", "folder:mine2") == ["rooms", "mine", "mine2"]
+    assert named("folder:/a/mine", "folder:/b/mine") == ["folder:/a/mine", "folder:/b/mine"]
 
 
 def test_artifacts_are_the_records_files(
