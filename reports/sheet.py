@@ -13,6 +13,9 @@ from rich.text import Text
 JOINT = " / "
 """Between the numbers of one cell."""
 
+_WORD = 10
+"""Letters of a head that are kept together: those of "recomputed"."""
+
 TERMINAL_WIDTH = 80
 """Columns of the narrowest terminal that tables are made for."""
 
@@ -75,7 +78,8 @@ def _whole_width(sheet: Sheet, column: int) -> int:
 
 
 def _longest_word(head: str) -> int:
-    return max(map(len, head.split()), default=0)
+    # A scene's name may stand in a head, and is folded as names are.
+    return min(max(map(len, head.split()), default=0), _WORD)
 
 
 def to_markdown(sheet: Sheet) -> str:
