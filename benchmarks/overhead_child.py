@@ -177,4 +177,9 @@ def _read(folder: Path) -> dict[str, dict[str, float]]:
 
 if __name__ == "__main__":
     kind, suite, out, models = sys.argv[1:]
-    {"loop": loop, "flow": flow}[kind](Path(suite), Path(out), models)
+    if kind == "loop":
+        loop(Path(suite), Path(out), models)
+    else:
+        from flows.leaving import run_and_leave
+
+        run_and_leave(functools.partial(flow, Path(suite), Path(out), models))

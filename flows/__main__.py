@@ -1,5 +1,5 @@
 """``python -m flows`` is ``gvr``."""
 
-from flows.cli import main
+from flows.cli import script
 
-main()
+script()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import signal
 import sys
-from typing import Any
+from typing import Any, NoReturn
 
 import typer
 
@@ -16,6 +16,7 @@ from flows.cache_cli import cache_app
 from flows.datasets_cli import datasets_app
 from flows.exit_codes import EXIT_BAD_INPUT, EXIT_FAILED
 from flows.init_cli import init
+from flows.leaving import run_and_leave
 from flows.lessons import taught
 from flows.models_cli import models_app
 from flows.options import JsonOption
@@ -57,8 +58,13 @@ app.add_typer(models_app, name="models", **taught("models"))
 app.add_typer(datasets_app, name="datasets", **taught("datasets"))
 
 
+def script() -> NoReturn:
+    """``gvr`` as a process of its own."""
+    run_and_leave(main)
+
+
 def main(arguments: list[str] | None = None) -> None:
-    """Entry point: what goes wrong becomes one line and an exit code."""
+    """A command line: what goes wrong becomes one line and an exit code."""
     # Ending by SIGTERM unwinds like Ctrl-C, so that servers that were started are stopped.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:

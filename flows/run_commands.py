@@ -53,15 +53,16 @@ def run(job: Job, progress: bool, as_json: bool = False) -> int:
         from flows.benchmark import run_benchmark
 
         outcome = run_benchmark(suite, job.store, job.results, progress)
-    if not as_json:
-        print_tables(outcome.result, outcome.rows)
-        say(f"\nResult: {outcome.folder}")
-    filled = None
-    if job.tracking_uri is not None:
-        try:
-            filled = fill_mlflow(outcome.folder, job.tracking_uri)
-        except SyncError as error:
-            warn(not_filled(error))
+        # Prefect's server writes down the last states meanwhile.
+        if not as_json:
+            print_tables(outcome.result, outcome.rows)
+            say(f"\nResult: {outcome.folder}")
+        filled = None
+        if job.tracking_uri is not None:
+            try:
+                filled = fill_mlflow(outcome.folder, job.tracking_uri)
+            except SyncError as error:
+                warn(not_filled(error))
     if as_json:
         content = result_document(outcome.folder, outcome.result, outcome.rows, filled)
         print_document("run", content)

@@ -5,11 +5,8 @@ from __future__ import annotations
 import fcntl
 import logging
 import os
-import subprocess
-import sys
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -161,29 +158,10 @@ def create_store(database: Path) -> None:
 def begin_store(tracking_uri: str) -> None:
     """Do what filling MLflow takes seconds for and needs no result: its imports, and a new store.
 
-    A local SQLite store that is not there yet is created in a process of its own, as its tables
-    take long; not in a thread, as two libraries must not set up their tables at the same time.
-    Whoever needs the store next waits for it in `create_store`, and creates it where this failed.
+    What goes wrong is said when MLflow is filled, which tries again.
     """
-    try:
-        database = sqlite_database(tracking_uri)
-    except SyncError:
-        return  # said when it is filled
-    if database is not None and not database.exists():
-        _create_beside(database)
-    os.environ.update(telemetry_variables())  # as in `mlflow_client`
-    import mlflow.store.tracking.sqlalchemy_store  # noqa: F401
-
-
-def _create_beside(database: Path) -> None:
-    child = subprocess.Popen(
-        [sys.executable, "-m", __name__, str(database)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env=quiet_environment(),
-    )
-    threading.Thread(target=child.wait, daemon=True).start()
+    with suppress(SyncError), mlflow_client(tracking_uri):
+        pass
 
 
 def artifact_root(database: Path) -> Path:
@@ -258,7 +236,3 @@ def _no_database_log() -> Iterator[None]:
     finally:
         for logger, level in zip(loggers, levels, strict=True):
             logger.setLevel(level)
-
-
-if __name__ == "__main__":
-    create_store(Path(sys.argv[1]))

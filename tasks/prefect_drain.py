@@ -14,12 +14,16 @@ the whole number below: half a second would be none, and an idle server that use
 _SETTLE_SECONDS = 20.0
 
 _latest_task_runs: deque[UUID] = deque(maxlen=100)
+_noted = 0.0
+"""When the latest was noted."""
 
 
 def note_task_run(task_run: UUID | None) -> None:
     """Remember a finished task run, so that the server is not stopped before it knows of it."""
+    global _noted
     if task_run is not None:
         _latest_task_runs.append(task_run)
+        _noted = time.monotonic()
 
 
 def take_task_runs() -> list[UUID]:
@@ -50,7 +54,7 @@ def settle() -> None:
                 break
             time.sleep(0.1)
     # Task runs of other processes came through this one, ahead of or among the latest.
-    time.sleep(FLUSH_SECONDS)
+    time.sleep(max(0.0, _noted + FLUSH_SECONDS - time.monotonic()))
 
 
 def drain() -> None:
