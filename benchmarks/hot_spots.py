@@ -2,7 +2,8 @@
 
 A thread looks at the stack of the worker many times a second, and counts the innermost function of
 the project that is in it: time in numpy, torch or a compiled kernel is that of the function which
-called it. Work that functions hand to other threads counts where they wait for it.
+called it. Where the worker waits for threads that views were handed to, what they do counts, in
+equal parts; other work that is handed on counts where it is waited for.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,11 @@ from types import FrameType
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = tuple(str(ROOT / name) for name in ("gvr_core", "datasets", "tasks", "reports", "flows"))
+
+HANDS_ON = "gvr_core.ordered.in_order"
+"""The function that waits for what others do."""
+POOL = "views"
+"""Names of their threads begin so."""
 
 
 @dataclass(frozen=True)
@@ -42,14 +48,14 @@ def profile(work: Callable[[], object], every: float = 0.005) -> tuple[float, li
         Seconds in all, and the functions, the longest first; they add up to the whole but for what
         lies outside the project.
     """
-    worker, found, done = threading.get_ident(), Counter[str](), threading.Event()
+    worker, done, looks = threading.get_ident(), threading.Event(), [0]
+    found: dict[str, float] = defaultdict(float)
 
     def watch() -> None:
         while not done.wait(every):
-            place = innermost(sys._current_frames().get(worker))
-            if place is not None:
-                found[place] += 1
-            found[""] += 1
+            for place, part in _places(sys._current_frames(), worker).items():
+                found[place] += part
+            looks[0] += 1
 
     watcher = threading.Thread(target=watch, daemon=True)
     start = time.perf_counter()
@@ -60,11 +66,23 @@ def profile(work: Callable[[], object], every: float = 0.005) -> tuple[float, li
         seconds = time.perf_counter() - start
         done.set()
         watcher.join()
-    looks = max(found.pop("", 0), 1)
-    return seconds, [
-        HotSpot(place, seconds * count / looks, count / looks)
-        for place, count in found.most_common()
-    ]
+    ordered = sorted(found.items(), key=lambda item: -item[1])
+    n = max(looks[0], 1)
+    return seconds, [HotSpot(place, seconds * count / n, count / n) for place, count in ordered]
+
+
+def _places(frames: dict[int, FrameType], worker: int) -> dict[str, float]:
+    """The functions that one look finds, and the part of it that each gets."""
+    place = innermost(frames.get(worker))
+    if place != HANDS_ON:
+        return {} if place is None else {place: 1.0}
+    names = {thread.ident: thread.name for thread in threading.enumerate()}
+    others = [frames[i] for i in frames if names.get(i, "").startswith(POOL)]
+    busy = [found for found in map(innermost, others) if found is not None]
+    parts: dict[str, float] = defaultdict(float)
+    for found in busy or [place]:
+        parts[found] += 1 / max(len(busy), 1)
+    return parts
 
 
 def innermost(frame: FrameType | None) -> str | None:
