@@ -36,8 +36,10 @@ def _offers(names: Names) -> Complete:
 
 @_offers
 def methods() -> Iterable[str]:
-    """Names of methods."""
-    return METHODS
+    """Names of methods, plugins' included."""
+    from gvr_core import plugins
+
+    return [*METHODS, *plugins.offered(plugins.METHODS)]
 
 
 @_offers
@@ -59,11 +61,12 @@ def checkpoints() -> Iterable[str]:
 
 @_offers
 def datasets() -> Iterable[str]:
-    """Names of data sets."""
+    """Names of data sets, plugins' included."""
     from datasets.captures import CAPTURES
     from datasets.registry import DATASETS, FOLDER
+    from gvr_core import plugins
 
-    return [*DATASETS, FOLDER, CAPTURES]
+    return [*DATASETS, *plugins.offered(plugins.DATASETS), FOLDER, CAPTURES]
 
 
 @_offers

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from plugin_packages import install
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -39,12 +40,10 @@ def gvr(work: Path, *arguments: str, **variables: str) -> subprocess.CompletedPr
     )
 
 
-def completed(work: Path, line: str) -> list[str]:
+def completed(work: Path, line: str, **variables: str) -> list[str]:
     """What bash would offer at the end of a line."""
-    words = line.split(" ")
-    asked = gvr(
-        work, COMP_WORDS=line, COMP_CWORD=str(len(words) - 1), _GVR_COMPLETE="complete_bash"
-    )
+    words = str(len(line.split(" ")) - 1)
+    asked = gvr(work, COMP_WORDS=line, COMP_CWORD=words, _GVR_COMPLETE="complete_bash", **variables)
     assert asked.stderr == ""
     return asked.stdout.split()
 
@@ -95,3 +94,14 @@ def test_results_behind_a_url_are_not_waited_for(work: Path) -> None:
         _GVR_COMPLETE="complete_bash",
     )
     assert asked.stdout.split() == []
+
+
+def test_names_of_plugins_are_offered(work: Path) -> None:
+    offers = {
+        "gvr_bench.methods": {"nearest": "parts:make"},
+        "gvr_bench.datasets": {"near": "parts:make"},
+    }
+    install(work / "installed", "near-parts", "1.0", offers, {})
+    path = os.pathsep.join([str(REPOSITORY), str(work / "installed")])
+    assert completed(work, "gvr run bench --method ne", PYTHONPATH=path) == ["nearest"]
+    assert completed(work, "gvr run bench --dataset ne", PYTHONPATH=path) == ["near"]
