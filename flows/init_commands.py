@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datasets.recognise import CAPTURE
-from flows.output import print_document, say
+from flows.output import print_document, say, warn
 from flows.own_scenes import FoundData, look_at
 from flows.own_suite import EXAMPLES, check_free, suite_name, suite_text, write_suite
 
@@ -43,6 +43,9 @@ def init(
     check_free(path, force)  # reading the scenes may take a while
     found = look_at(folder)
     write_suite(path, suite_text(folder, found, queries or EXAMPLES, methods, models))
+    captures = any(data.layout == CAPTURE and data.scenes for data in found)
+    if queries and not captures:
+        warn("--query asks captures, and there are none: these scenes bring their own queries")
     document = InitDocument(path, found, f"gvr run {shlex.quote(str(path))}")
     if as_json:
         print_document("init", document)
@@ -57,7 +60,7 @@ def init(
         for left in data.left_out:
             say(f"left out  {left.name}: {left.why}")
     say(f"Suite: {path}")
-    if any(data.layout == CAPTURE and data.scenes for data in found) and not queries:
+    if captures and not queries:
         say(f"Next: put your own queries into {path}, then: {document.next}")
     else:
         say(f"Next: {document.next}")

@@ -141,6 +141,12 @@ def test_the_file_is_there_for_editing(gvr, home, mine: Path) -> None:
     assert tomllib.loads(text)["datasets"][0]["name"] == f"captures:{mine / 'ramen'}"
 
 
+def test_a_query_that_nobody_is_asked_is_said(gvr, home, mine: Path) -> None:
+    code, _, err = gvr("init", str(mine / "two-boxes"), "--query", "a box")
+    assert code == 0
+    assert "--query asks captures, and there are none" in err
+
+
 def test_nothing_is_overwritten_unless_told(gvr, home, mine: Path) -> None:
     Path("ramen.toml").write_text("mine\n")
     code, out, err = gvr("init", str(mine / "ramen"))
