@@ -89,10 +89,10 @@ def _dot_splat_seeds(folder: Path) -> list[bytes]:
 
 
 def _use(cameras: Sequence[tuple[str, Any]]) -> None:
-    from datasets.own import MAX_SIDE, _at_most
+    from datasets.own import MAX_SIDE, at_most
 
     for _, camera in cameras:
-        _at_most(camera, MAX_SIDE)
+        at_most(camera, MAX_SIDE)
         camera.project(np.zeros((1, 3)))
 
 
