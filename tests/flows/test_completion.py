@@ -81,8 +81,20 @@ def test_names_are_offered(work: Path, line: str, expected: list[str]) -> None:
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_each_shell_has_a_script(work: Path, shell: str) -> None:
-    script = gvr(work, "--show-completion", _GVR_SHELL=shell, SHELL=f"/bin/{shell}")
-    assert "_GVR_COMPLETE" in script.stdout
+    # As --show-completion prints it, which takes the shell from the processes above it.
+    assert "_GVR_COMPLETE" in gvr(work, _GVR_COMPLETE=f"source_{shell}").stdout
+
+
+def test_the_shell_that_asks_is_recognised(work: Path) -> None:
+    asked = subprocess.run(
+        ["bash", "-c", f"'{sys.executable}' -m flows --show-completion; exit $?"],
+        cwd=work,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY), "HOME": str(work)},
+        capture_output=True,
+        text=True,
+    )
+    assert asked.returncode == 0, asked.stderr
+    assert "_GVR_COMPLETE=complete_bash" in asked.stdout
 
 
 def test_results_behind_a_url_are_not_waited_for(work: Path) -> None:
