@@ -390,7 +390,9 @@ def test_the_name_holds_every_file_and_setting(tiny: TinyGroundingDino, tmp_path
 
 
 def test_an_unknown_variant_is_refused_with_those_that_are_known(tiny: TinyGroundingDino) -> None:
-    with pytest.raises(ConfigError, match=r"'swin_l'; did you mean .* \(accepted: swin_b, swin_t\)"):
+    with pytest.raises(
+        ConfigError, match=r"'swin_l'; did you mean .* \(accepted: swin_b, swin_t\)"
+    ):
         grounded("swin_l", tiny.settings(), "cpu", BoxFiller())
 
 
