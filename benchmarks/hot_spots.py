@@ -48,14 +48,15 @@ def profile(work: Callable[[], object], every: float = 0.005) -> tuple[float, li
         Seconds in all, and the functions, the longest first; they add up to the whole but for what
         lies outside the project.
     """
-    worker, done, looks = threading.get_ident(), threading.Event(), [0]
+    worker, done, looks = threading.get_ident(), threading.Event(), 0
     found: dict[str, float] = defaultdict(float)
 
     def watch() -> None:
+        nonlocal looks
         while not done.wait(every):
             for place, part in _places(sys._current_frames(), worker).items():
                 found[place] += part
-            looks[0] += 1
+            looks += 1
 
     watcher = threading.Thread(target=watch, daemon=True)
     start = time.perf_counter()
@@ -67,7 +68,7 @@ def profile(work: Callable[[], object], every: float = 0.005) -> tuple[float, li
         done.set()
         watcher.join()
     ordered = sorted(found.items(), key=lambda item: -item[1])
-    n = max(looks[0], 1)
+    n = max(looks, 1)
     return seconds, [HotSpot(place, seconds * count / n, count / n) for place, count in ordered]
 
 

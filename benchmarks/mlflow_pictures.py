@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import argparse
 import re
-import shutil
-import sys
 import tempfile
 from pathlib import Path
 
-from screenshots import ARGUMENTS, DESKTOP, PHONE, save
+from screenshots import ARGUMENTS, DESKTOP, PHONE, find_chromium, save
 
 from reports.mlflow_history import history_experiment
 from reports.mlflow_server import start_server
@@ -36,10 +34,7 @@ def main() -> int:
     parser.add_argument("results", type=Path, nargs="+", help="folders of results")
     parser.add_argument("--out", type=Path, default=Path("docs/pictures"))
     arguments = parser.parse_args()
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    if chromium is None:
-        print("no chromium on the path", file=sys.stderr)
-        return 1
+    chromium = find_chromium()
     from playwright.sync_api import sync_playwright
 
     with tempfile.TemporaryDirectory() as name:

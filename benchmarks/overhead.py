@@ -69,7 +69,7 @@ class FlowRun:
     cpu: float
     """Processor seconds of it and of all that it started and waited for."""
     parts: dict[str, float]
-    """Part of the process -> seconds, see :mod:`flow_child`."""
+    """Part of the process -> seconds, see :mod:`overhead_child`."""
     stages: dict[str, float]
     """Stage -> seconds, all scenes together."""
 

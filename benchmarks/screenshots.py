@@ -6,6 +6,7 @@ python benchmarks/screenshots.py RESULT [OTHER] [--out docs/pictures]
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
 import sys
 import tempfile
@@ -23,16 +24,20 @@ DESKTOP, PHONE = (1280, 900), (390, 844)
 MOST_BYTES = 400_000
 
 
+def find_chromium() -> str:
+    """The browser: ``GVR_CHROMIUM``, else the one on the path; ends the process without one."""
+    named = os.environ.get("GVR_CHROMIUM")
+    found = named or shutil.which("chromium") or shutil.which("chromium-browser")
+    return found or sys.exit("no chromium on the path (set GVR_CHROMIUM)")
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("result", type=Path, help="folder of a result")
     parser.add_argument("other", type=Path, nargs="?", help="folder of a later one, to compare")
     parser.add_argument("--out", type=Path, default=Path("docs/pictures"))
     arguments = parser.parse_args()
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    if chromium is None:
-        print("no chromium on the path", file=sys.stderr)
-        return 1
+    chromium = find_chromium()
     from playwright.sync_api import sync_playwright
 
     with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:

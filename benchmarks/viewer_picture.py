@@ -7,14 +7,12 @@ Opens a scene in the viewer, types a query in a headless Chromium (``chromium`` 
 from __future__ import annotations
 
 import io
-import os
-import shutil
-import sys
 from pathlib import Path
 
 import typer
 from PIL import Image
 from playwright.sync_api import expect, sync_playwright
+from screenshots import find_chromium
 
 from flows.lines import ONBOARD, bundled_models
 from flows.places import store_root
@@ -36,9 +34,7 @@ def main(
     """Take the picture, as a desktop shows the page or as a phone does."""
     out = out or PICTURES / ("viewer_phone.png" if phone else "viewer.png")
     width, height = PHONE if phone else DESKTOP
-    chromium = os.environ.get("GVR_CHROMIUM") or shutil.which("chromium")
-    if chromium is None:
-        sys.exit("no chromium on the path (set GVR_CHROMIUM)")
+    chromium = find_chromium()
     models = bundled_models(ONBOARD.label)
     session = start_session(open_scene(scene, None, None), method, models, store_root())
     viewer = Viewer(session, port=0)

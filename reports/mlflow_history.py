@@ -30,7 +30,7 @@ from reports.mlflow_run import (
     safe_key,
     shown_datasets,
 )
-from reports.mlflow_store import experiment_id, locked, search_all, sqlite_database
+from reports.mlflow_store import batches_of, experiment_id, locked, search_all, sqlite_database
 from reports.record import Result, SceneResult
 
 if TYPE_CHECKING:
@@ -182,8 +182,8 @@ def _write(client: Any, experiment: str, result: Result, lines: Sequence[LinePoi
             continue
         step = max(steps.values(), default=0) + 1
         metrics = [Metric(point.key, point.value, start, step) for point in line.points]
-        for first in range(0, len(metrics), _BATCH):
-            client.log_batch(run.info.run_id, metrics=metrics[first : first + _BATCH])
+        for some in batches_of(metrics, _BATCH):
+            client.log_batch(run.info.run_id, metrics=some)
         client.set_terminated(run.info.run_id, "FINISHED", max([*steps, start]))
         n_added += 1
     return n_added

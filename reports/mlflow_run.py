@@ -123,10 +123,14 @@ def shown_time(result: Result) -> str:
     return datetime.fromisoformat(result.created).astimezone(UTC).strftime("%m-%d %H:%M")
 
 
+_OF_A_FOLDER = re.compile(r"^(folder|captures):")
+"""What the names of data sets of one's own begin with, before their path."""
+
+
 def shown_datasets(result: Result) -> dict[str, str]:
     """Data set -> its name in MLflow: of a folder the last part, where that is clear."""
     names = list(dict.fromkeys(item.dataset for item in result.scenes))
-    short = {name: re.split(r"[/\\]", name.removeprefix("folder:"))[-1] or name for name in names}
+    short = {name: re.split(r"[/\\]", _OF_A_FOLDER.sub("", name))[-1] or name for name in names}
     counts = Counter(short.values())
     return {name: given if counts[given] == 1 else name for name, given in short.items()}
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from itertools import islice, zip_longest
+from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from gvr_core.atomic import why_not_written
 from reports.aggregate import aggregate
@@ -25,6 +25,7 @@ from reports.mlflow_run import RunContent
 from reports.mlflow_store import (
     EXPERIMENT,
     SyncError,
+    batches_of,
     default_tracking_uri,
     experiment_id,
     locked,
@@ -50,7 +51,6 @@ FILL_SECONDS = 300.0
 _METRICS_PER_BATCH = 800
 _ITEMS_PER_BATCH = 100
 """MLflow takes 100 parameters, 100 tags, and 1000 things in all in one request."""
-_T = TypeVar("_T")
 _Key = tuple[str, ...]
 
 
@@ -259,9 +259,9 @@ class _Writer:
             for p in content.points
         ]
         batches = zip_longest(
-            _batches(metrics, _METRICS_PER_BATCH),
-            _batches(params, _ITEMS_PER_BATCH),
-            _batches(tags, _ITEMS_PER_BATCH),
+            batches_of(metrics, _METRICS_PER_BATCH),
+            batches_of(params, _ITEMS_PER_BATCH),
+            batches_of(tags, _ITEMS_PER_BATCH),
             fillvalue=[],
         )
         for some_metrics, some_params, some_tags in batches:
@@ -298,9 +298,3 @@ class _Writer:
 def _key(tags: Mapping[str, str]) -> _Key:
     """Which run of a benchmark: its kind, data set, scene and method."""
     return tuple(tags.get(name, "") for name in ("kind", "dataset", "scene", "method"))
-
-
-def _batches(items: Iterable[_T], size: int) -> Iterator[list[_T]]:
-    rest = iter(items)
-    while batch := list(islice(rest, size)):
-        yield batch

@@ -5,11 +5,12 @@ from __future__ import annotations
 import fcntl
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from gvr_core.errors import GVRError
 from reports.telemetry import telemetry_variables
@@ -17,6 +18,8 @@ from reports.telemetry import telemetry_variables
 if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Run
+
+T = TypeVar("T")
 
 EXPERIMENT = "gvr-bench"
 """The experiment that runs go to by default."""
@@ -162,6 +165,13 @@ def begin_store(tracking_uri: str) -> None:
     """
     with suppress(SyncError), mlflow_client(tracking_uri):
         pass
+
+
+def batches_of(items: Iterable[T], size: int) -> Iterator[list[T]]:
+    """Items in lists of a size that MLflow takes in one request."""
+    rest = iter(items)
+    while batch := list(islice(rest, size)):
+        yield batch
 
 
 def artifact_root(database: Path) -> Path:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from small_scene import OBJECTS, two_boxes
 
 from datasets.base import GroundTruth, SceneData
+from flows.view_drawing import _show_all_of
 from flows.view_session import ViewSession
 from gvr_core.methods import MethodConfig, Toolbox, build_method
 from gvr_core.models.oracle import OracleWorld, oracle_models
@@ -124,3 +126,13 @@ def test_what_cannot_be_asked_is_said(viewer: ViewerPage) -> None:
 def test_words_are_shown_as_words(viewer: ViewerPage) -> None:
     viewer.ask("<img src=x onerror=console.error(1)>")
     assert viewer.wrong == []
+
+
+def test_upright_screens_see_all_of_the_first_camera() -> None:
+    camera = two_boxes()[0].views[0].camera
+    for aspect in (0.4, 1.0, 3.0):
+        page = SimpleNamespace(aspect=aspect, fov=None)  # stands for a browser's camera
+        _show_all_of(camera, page)
+        down = np.tan(page.fov / 2)
+        sides = camera.width / camera.K[0, 0] / 2, camera.height / camera.K[1, 1] / 2
+        assert min(down * aspect - sides[0], down - sides[1]) == pytest.approx(0, abs=1e-9)

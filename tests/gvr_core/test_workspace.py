@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from oracle_boxes import ABSENT, BLUE, RED, World, boxes
 
+import gvr_core.workspace
 from gvr_core.errors import InputError
 from gvr_core.localize import TEXTS_A_BLOCK
 from gvr_core.methods import MethodConfig, Toolbox, build_method
@@ -103,3 +106,33 @@ def test_what_is_recalled_is_made_once_and_its_time_is_shared() -> None:
     seconds = workspace.shared_seconds
     assert workspace.recall(b"key", make) is first and len(made) == 1
     assert 0 < seconds == workspace.shared_seconds
+
+
+def test_shared_seconds_count_once_for_makers_at_the_same_time_or_in_each_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(gvr_core.workspace.time, "perf_counter", lambda: now[0])
+    shared = Workspace(np.zeros((1, 2), np.float32), None)
+    both = threading.Barrier(2)
+
+    def beside() -> np.ndarray:
+        both.wait(60)
+        now[0] = 10.0
+        return np.zeros(1, np.float32)
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda key: shared.recall(key, beside), (b"a", b"b")))
+    assert shared.shared_seconds == 10
+
+    def inner() -> np.ndarray:
+        now[0] += 2
+        return np.zeros(1, np.float32)
+
+    def outer() -> np.ndarray:
+        now[0] += 1
+        return shared.recall(b"inner", inner)
+
+    shared.recall(b"outer", outer)
+    shared.recall(b"outer", outer)
+    assert shared.shared_seconds == 13

@@ -141,6 +141,7 @@ def test_folders_are_called_by_their_last_part(sample: Sample) -> None:
         return list(shown_datasets(result.model_copy(update={"scenes": scenes})).values())
 
     assert named("rooms", "folder:/srv/data/mine", "folder:mine2") == ["rooms", "mine", "mine2"]
+    assert named("captures:desk", "captures:/srv/data/garden") == ["desk", "garden"]
     assert named("folder:/a/mine", "folder:/b/mine") == ["folder:/a/mine", "folder:/b/mine"]
 
 
