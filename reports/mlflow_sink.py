@@ -280,7 +280,7 @@ class _Writer:
             for data in content.datasets
         ]
         if inputs:
-            client.log_inputs(run_id, inputs)
+            _log_inputs(client, run_id, inputs)
         # Not log_table, which appends to a table that is there already.
         for name, table in content.tables.items():
             client.log_dict(run_id, table, name)
@@ -293,6 +293,24 @@ class _Writer:
         end = self.start + round(content.seconds * 1000)
         client.set_terminated(run_id, "FAILED" if content.failed else "FINISHED", end)
         client.set_tag(run_id, WHOLE_TAG, self.digest)
+
+
+def _log_inputs(client: Any, run_id: str, inputs: Sequence[Any]) -> None:
+    """Log a run's data sets, also where another sync makes the same ones at this moment.
+
+    MLflow looks for a data set and then makes it. Who comes second is refused, and finds it the
+    next time; each data set can be lost to another sync once.
+    """
+    from mlflow.exceptions import MlflowException
+
+    for left in reversed(range(len(inputs) + 1)):
+        try:
+            client.log_inputs(run_id, inputs)
+            return
+        except MlflowException as error:
+            refused = str(error).lower()
+            if not left or not ("unique" in refused or "duplicate" in refused):
+                raise
 
 
 def _key(tags: Mapping[str, str]) -> _Key:

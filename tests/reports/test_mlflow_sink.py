@@ -5,11 +5,12 @@ import json
 from pathlib import Path
 
 import pytest
+from mlflow.exceptions import MlflowException
 from mlflow_contents import artifacts, runs_of
 from record_samples import PLANE, Sample, row, scene_result
 
 from reports.mlflow_run import shown_datasets
-from reports.mlflow_sink import sync
+from reports.mlflow_sink import _log_inputs, sync
 from reports.mlflow_store import EXPERIMENT, LocalStore, SyncError, mlflow_client
 from reports.record import SystemLoad
 from reports.result_check import ResultError
@@ -130,6 +131,27 @@ def test_the_benchmark_has_all_scenes_as_inputs(result_folder: Path, store: Loca
         inputs = client.get_run(report.parent_run).inputs.dataset_inputs
     assert sorted(given.dataset.name for given in inputs) == ["rooms/garden", "rooms/kitchen"]
     assert json.loads(inputs[0].dataset.profile) == {"n_gaussians": 12345, "n_views": 7}
+
+
+def test_a_data_set_that_another_sync_makes_meanwhile_is_found() -> None:
+    class Racing:
+        """A double of a client whose every first look at a data set is overtaken."""
+
+        def __init__(self, error: str, times: int) -> None:
+            self.error, self.times = error, times
+
+        def log_inputs(self, run_id: str, inputs: list[str]) -> None:
+            self.times -= 1
+            if self.times >= 0:
+                raise MlflowException(self.error)
+
+    _log_inputs(Racing("UNIQUE constraint failed: datasets.name", 2), "r", ["a", "b"])
+    with pytest.raises(MlflowException, match="UNIQUE"):
+        _log_inputs(Racing("UNIQUE constraint failed: datasets.name", 3), "r", ["a", "b"])
+    down = Racing("no answer", 1)
+    with pytest.raises(MlflowException, match="no answer"):
+        _log_inputs(down, "r", ["a", "b"])
+    assert down.times == 0
 
 
 def test_folders_are_called_by_their_last_part(sample: Sample) -> None:
